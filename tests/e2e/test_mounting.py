@@ -186,7 +186,7 @@ def test_a_transform_that_tilts_a_level_lidar_is_reported(
     assert "is tilted by" not in sound.stderr
     wrong = recorded(**where)
     done = run("convert", wrong, "-o", tmp_path / "wrong.mcap", *words)
-    found = re.search(r"'base_link' is tilted by ([\d.]+) deg", done.stderr)
+    found = re.search(r"base_link is tilted by ([\d.]+) deg", done.stderr)
     assert found is not None, done.stderr
     up = transform("", "", (roll, pitch, 0), (0, 0, 0))
     assert float(found[1]) == pytest.approx(math.degrees(2 * math.asin(math.hypot(up[6], up[7]))), abs=0.6)

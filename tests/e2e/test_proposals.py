@@ -75,7 +75,7 @@ WORLDS = {
         "no floor is visible",
     ),
     "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
-    "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "probably upside down"),
+    "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "is upside down"),
 }
 
 

@@ -49,9 +49,9 @@ _Direction: TypeAlias = tuple[float, float, float]
 _STEEPEST = math.radians(50.0)
 
 #: Planes with this share of a cloud, and at most this share behind them, show how a room is turned. Those that are
-#: slanted are this far from z, radians; two of them are at right angles within so many degrees.
+#: slanted are this far from z (as cosines); two of them are at right angles within so many degrees.
 _LARGE, _MOST_BEYOND = 0.08, 0.3
-_SLANTED = (math.radians(12.0), math.radians(78.0))
+_SLANTED = (math.cos(math.radians(78.0)), math.cos(math.radians(12.0)))
 _RIGHT_ANGLE = 3.0
 
 #: body_from_optical: REP 103's optical frames have x to the right, y down and z forward.
@@ -107,9 +107,10 @@ WHOLE_POINTS, PARTS = 600, 40
 LEVEL = math.radians(5.0)
 
 #: A transform is wrong if it tilts by more than this, radians, a floor that is level without it, up to this share of
-#: the tilt. Floors of simulated lidars are off by 0.1 degrees (median), and by 0.4 (95 %).
+#: the tilt. Floors of simulated lidars are off by 0.1 degrees (median), and by 0.4 (95 %). Another plane is the floor
+#: if it is nearer to where a transform says, by the last factor, than the one below the sensor.
 _LEAST_TILT = math.radians(0.9)
-_LEVEL_BESIDE = 0.3
+_LEVEL_BESIDE, _NEARER = 0.3, 0.1
 
 #: Points with a larger median distance, metres, are in another unit: lidars do not see as far.
 _FARTHEST_MEDIAN = 400.0
@@ -194,27 +195,11 @@ class CloudSample:
         """The ground, if it is level, and visible."""
         return self.ground if self.ground.kind == "level" and self.ground.height else None
 
-    @cached_property
-    def floor_tilted_by_transform(self) -> Ground | None:
-        """The floor in the frame in which it is judged, if the transform tilts it, and the cloud's own frame does not.
-
-        None if the floor is not level in the cloud's own frame: then the sensor is tilted, or the robot. None, too, if
-        it seems level in both, as parts of floors do, or if the transform turns it over: then it may be a ceiling.
-        """
-        if self.transform is None:
-            return None
-        matrix = self.transform.matrix
-        turned, here = _angle(matrix[2, 2]), self.floor
-        if not _LEAST_TILT < turned < math.pi - _LEAST_TILT or (
-            here and here.up and here.tilt < _LEVEL_BESIDE * turned
-        ):
-            return None
-        own = find_ground(self.points @ matrix)
-        if own.kind != "level" or own.up is None or own.tilt > _LEVEL_BESIDE * turned:
-            return None
-        x, y, z = (matrix @ np.array(own.up)).tolist()
-        tilted = Ground("tilted", (x, y, z), own.height)
-        return tilted if abs(tilted.tilt - turned) < _LEVEL_BESIDE * turned else None
+    @property
+    def floor_elsewhere(self) -> Ground | None:
+        """See `floor_elsewhere`; None without a transform."""
+        moved = self.transform
+        return None if moved is None else floor_elsewhere(self.points, moved.matrix, self.origin[2], self.ground)
 
 
 def far_away(points: _Points) -> float:
@@ -435,16 +420,14 @@ def common_ground(looks: Sequence[Ground]) -> Ground:
         return Ground(kind, clouds=len(same), sampled=len(looks))
     middle = np.array([median(axis) for axis in zip(*(look.normal for look in seen), strict=True)])
     up = middle / np.linalg.norm(middle)
-    heights = [look.height for look in seen]
-    height = median(heights)
+    height = median([look.height for look in seen])
     if kind != "level":
         apart = max(_angle(up @ np.array(look.normal)) for look in seen)
-        moved = max(abs(other - height) for other in heights)
+        moved = max(abs(look.height - height) for look in seen)
         if apart > math.radians(4.0) or moved > max(0.06, 0.2 * height):
             return Ground("optical", clouds=len(same), sampled=len(looks)) if kind == "optical" else unknown
-    rough = min(look.rough for look in seen)
     normal = (float(up[0]), float(up[1]), float(up[2]))
-    return Ground(kind, normal, height, ceiling, rough, len(same), len(looks))
+    return Ground(kind, normal, height, ceiling, min(look.rough for look in seen), len(same), len(looks))
 
 
 def find_ground(points: _Points) -> Ground:
@@ -477,7 +460,7 @@ def find_ground(points: _Points) -> Ground:
         return ground
     turned = points @ _BODY_FROM_OPTICAL.T
     ground = _choose_ground(turned, level_needs_proof=True)
-    if ground.up is None:
+    if ground.up is None or ground.kind == "slanted":
         return Ground("optical")
     up = _BODY_FROM_OPTICAL.T @ np.array(ground.up)
     return Ground("optical", (float(up[0]), float(up[1]), float(up[2])), ground.height, ground.ceiling)
@@ -702,35 +685,63 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
         upside_down = plane.tilt >= math.pi - _STEEPEST
         if (upside_down or plane.tilt <= _STEEPEST) and not _is_doubtful(plane, planes, view, upside_down=upside_down):
             return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
-    return Ground("slanted" if _are_slanted(planes) else "unknown")
+    return _slanted(planes)
 
 
-def floor_elsewhere(points: _Points, height: float) -> Plane | None:
-    """Return the plane that is the ground if the transform of a sensor, which is so high, turns it wrongly.
+def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float, seen: Ground) -> Ground | None:
+    """Return the ground if the transform of a sensor turns it wrongly; None if nothing says so.
 
-    None if there is none: it is as far away, and not level. What is at the side may also be a wall beside a level
-    sensor that sees no floor.
+    The floor is level in the sensor's own frame, and the transform tilts it. Or it is not as far away as the transform
+    says, and another plane is: below the sensor or above it in its own frame, or anywhere, if it is large. What is at
+    the side may also be a wall beside a level sensor that sees no floor.
+
+    Parameters
+    ----------
+    points, matrix
+        In the axes of the frame to which the transform goes; and its rotation.
+    height, seen
+        How high it says that the sensor is, metres; and the ground in this frame.
     """
-    if len(points) < FEWEST_POINTS:
+    turned, off = _angle(matrix[2, 2]), abs(seen.height - height)
+    is_missed = height > ONE_FLOOR and (seen.off or off >= NEAR_MOUNT * height)
+    near = max(0.01 + 0.03 * height, _NEARER * off if seen.height else 0.0)
+    is_level = seen.up is not None and not seen.off and seen.tilt < _LEVEL_BESIDE * turned
+    for way in (matrix, matrix * (1.0, -1.0, -1.0)) if turned > _LEAST_TILT or is_missed else ():
+        own = find_ground(points @ way)
+        if own.kind != "level" or not own.height:
+            continue
+        x, y, z = (way @ np.array(own.normal)).tolist()
+        floor = Ground("tilted", (x, y, z), own.height)
+        is_tilted = way is matrix and _LEAST_TILT < turned < math.pi - _LEAST_TILT and not is_level
+        if is_tilted and own.up and max(own.tilt, abs(floor.tilt - turned)) < _LEVEL_BESIDE * turned:
+            return floor
+        if is_missed and floor.tilt > LEVEL and abs(own.height - height) < near:
+            return floor
+    if not is_missed or len(points) < FEWEST_POINTS:
         return None
     planes, view = planes_of(cells_of(points)), _FieldOfView(points)
     for plane in planes:
         is_large = plane.tilt > LEVEL and plane.share > _LARGE and plane.beyond < _FEW_BEHIND
-        is_steep = _STEEPEST < plane.tilt < math.pi - _STEEPEST
-        doubtful = is_steep and _is_doubtful(plane, planes, view, upside_down=False)
-        if is_large and abs(plane.height - height) < 0.01 + 0.03 * height and not doubtful:
-            return plane
+        if is_large and abs(plane.height - height) < near:
+            is_steep = _STEEPEST < plane.tilt < math.pi - _STEEPEST
+            if not (is_steep and _is_doubtful(plane, planes, view, upside_down=False)):
+                return Ground("tilted", plane.up, plane.height)
     return None
 
 
-def _are_slanted(planes: Sequence[Plane]) -> bool:
-    """Whether two planes at right angles, such as floor and wall, are neither level nor upright, and none is level."""
+def _slanted(planes: Sequence[Plane]) -> Ground:
+    """Return the ground if no plane is level, and two, such as floor and wall, are at right angles and not upright.
+
+    The one that is nearest to level is probably the floor.
+    """
     large = [plane for plane in planes if plane.share >= _LARGE and plane.beyond < _MOST_BEYOND]
-    tilts = [min(plane.tilt, math.pi - plane.tilt) for plane in large]
-    slanted = [plane for plane, tilt in zip(large, tilts, strict=True) if _SLANTED[0] < tilt < _SLANTED[1]]
-    return min(tilts, default=0.0) >= 2 * LEVEL and any(
-        abs(_angle_between(one, other) - 90) < _RIGHT_ANGLE for one, other in combinations(slanted, 2)
-    )
+    leaning = [plane for plane in large if _SLANTED[0] < abs(plane.up[2]) < _SLANTED[1]]
+    pairs = [pair for pair in combinations(leaning, 2) if abs(_angle_between(*pair) - 90) < _RIGHT_ANGLE]
+    if not pairs or any(abs(plane.up[2]) > math.cos(2 * LEVEL) for plane in large):
+        return Ground("unknown")
+    floor = min((plane for pair in pairs for plane in pair), key=lambda plane: plane.tilt)
+    is_likely = floor.tilt < _STEEPEST and floor.beyond < _MOST_BELOW
+    return _ground_of("slanted", floor, planes) if is_likely else Ground("slanted")
 
 
 def _ground_of(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:

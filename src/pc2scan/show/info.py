@@ -5,13 +5,14 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
+from pc2scan.advice.odometry import turned_over
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
@@ -29,14 +30,14 @@ from pc2scan.request.point_time import PointTime
 from pc2scan.request.spec import StampOptions
 from pc2scan.result import Call, Part, Result
 from pc2scan.text import Table, count, counted, height_text, size, stamp
-from pc2scan.transforms.buffer import ADDS_ODOMETRY
+from pc2scan.transforms.buffer import ADDS_ODOMETRY, mount_text
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
-from .proposals import missing_mounts, odometry_doubts, proposals
+from .proposals import odometry_doubts, proposals
 from .topic_content import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.attitude import UpEstimate
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.mounting import Mounting
+    from pc2scan.transforms.reading import RobotTransforms
 
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
@@ -182,10 +184,8 @@ class Info(Result):
             yield "  judged by a sample; pc2scan check reads all scans and their transforms, and explains why"
         if self.proposals:
             yield ""
-            placed = (
-                (cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting and cloud.mounting.heights
-            )
-            yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in placed)
+            placed = (cloud.mounting for cloud in self.clouds if cloud.mounting and cloud.mounting.heights)
+            yield from (f"{leading(mounting.topic)}: {_ground_text(mounting)}" for mounting in placed)
             for call in self.proposals:
                 yield ""
                 yield "options, and why:" if len(self.proposals) == 1 else f"options for {_topics_of(call)}, and why:"
@@ -217,11 +217,10 @@ def _ground_text(mounting: Mounting) -> str:
     ground, heights = mounting.ground, mounting.heights
     if heights is None or heights.floor is None:
         return "no floor found; the heights are those around the sensor"
-    frame = mounting.target_frame or mounting.judged_in
+    frame, question = mounting.target_frame or mounting.judged_in, f"; {heights.question}" * bool(heights.question)
     ceiling = "" if heights.ceiling is None else f", ceiling at {height_text(heights.ceiling)} m"
     is_known = ground.height and mounting.frame.removeprefix("/") not in {*BODIES, *WORLDS}
     sensor = f"; the sensor is {ground.height:.2f} m above the floor" if is_known else ""
-    question = f"; {heights.question}" if heights.question else ""
     return f"floor at z = {height_text(heights.floor)} m in frame {frame!r}{ceiling}{sensor}{question}"
 
 
@@ -287,9 +286,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         lidars: list[Lidar] = []
         for topic, own in surveyed.clouds.items():
             mounting, is_own = surveyed.mounting(topic)
-            cloud, placed = describe_clouds(topic, own, surveyed.places, mounting)
+            cloud, placed = describe_clouds(topic, own, surveyed.places)
             clouds.append(cloud)
-            if cloud.mounting is None or mounting is None:
+            if not placed or mounting is None:
                 warnings.append(f"{topic}: no command is proposed: none of its first clouds can be placed")
                 continue
             if mounting.heights is None and cloud.limits and not first.unit_warnings:
@@ -297,7 +296,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             # Where the robot moves in the frame of these points, its own body is not at one place.
             parts, has_zeros = [(cloud.stamp_ns, cloud.points) for cloud in placed if is_own], bool(cloud.zero_share)
             of_robot = recorded, reader.connections, surveyed.known_ns, clocks.get(topic), surveyed.ups
-            lidars.append(Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot))
+            lidar = Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot)
+            lidars.append(surveyed.on_robot(lidar, warnings))
+            clouds[-1] = replace(cloud, mounting=lidars[-1].mounting)
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)
         ):
@@ -309,7 +310,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
         warnings += dict.fromkeys(text for cloud in clouds for text in surveyed.moving_frames(cloud.topic))
         warnings += (text for lidar in lidars for text in time_warnings(lidar.facts, PointTime()))
-        warnings += (*missing_mounts(lidars), *odometry_doubts(lidars), *reader.remarks)
+        warnings += (*filter(None, dict.fromkeys(odometry_doubts(lidars))), *reader.remarks)
         # Landmarks and the like are no lidar's, if there is one.
         given = {**given, "odom_topic": surveyed.odometry} if surveyed.odometry else given
         types = {topic.topic: [topic.msgtype] for topic in topics if topic.messages}
@@ -404,6 +405,7 @@ class _SurveyResult:
             poses = next(iter(odometry.values())) if len(odometry) == 1 else ()
             survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds and end_ns else (), poses)
         survey.read()
+        self._robot = survey.robot
         self.buffer: TransformBuffer | None = None
         self.warnings: list[str] = []
         self.odometry = ""
@@ -434,33 +436,50 @@ class _SurveyResult:
         around = [topic for topic in self.clouds if self.facts[topic].frame.removeprefix("/") not in WORLDS]
         return 0 < len(self.clouds) == len(self.unit_warnings) == len(around)
 
-    def mounting(self, topic: str) -> tuple[Mounting | None, bool]:
+    def mounting(self, topic: str, up: float = 0.0) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.
 
         Clouds are judged in the given frame, unless the robot moves in it. Without one, clouds in a world's frame are
-        judged in the robot's, and others in their own, and in the robot's if its transform tilts them.
+        judged in the robot's, and others in their own.
         """
         facts, target, buffer = self.facts[topic], self.places.target_frame, self.buffer
-        own = self._judged(facts, target)
+        own = self._judged(facts, target, up)
         if own is None or buffer is None:
             return own, True
-        if target:
-            moving = find_body_motion(buffer, target, own.frame)
-            return (own, True) if moving is None else (self._judged(facts, moving.body) or own, False)
-        is_registered = facts.frame.removeprefix("/") in WORLDS
-        named = (name for name in (own.target_frame, *BODIES) if name in buffer.frames)
-        body = body_in(buffer, facts.frame) if is_registered else next(named, "")
-        if not body or body == own.frame.removeprefix("/"):
-            return own, True
-        if is_registered:
+        if target and (moving := find_body_motion(buffer, target, own.frame)):
+            return self._judged(facts, moving.body) or own, False
+        if not target and facts.frame.removeprefix("/") in WORLDS and (body := body_in(buffer, facts.frame)):
             return self._judged(facts, body), True
-        on_robot = None if own.fault else self._judged(facts, body)
-        return (on_robot if on_robot is not None and on_robot.fault else own), True
+        return own, True
 
-    def _judged(self, facts: TopicFacts, frame: str) -> Mounting | None:
+    def on_robot(self, lidar: Lidar, warnings: list[str]) -> Lidar:
+        """Return a lidar with a place on the robot; one that no transform has is warned of.
+
+        Then it is as if above the robot's frame, looking ahead, upright or upside down as it turns.
+        """
+        own, buffer, frame = lidar.mounting, self.buffer, lidar.mounting.frame.removeprefix("/")
+        body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
+        if buffer is None or not (body and frame) or self.places.target_frame or lidar.transform(body, frame):
+            return lidar
+        warnings.append(f"{lidar.topic}: no transform connects {frame!r} with {body}: {mount_text(frame, [body])}")
+        if self._robot is None or buffer.above(frame):
+            return lidar
+        placed = self._assumed(lidar, self._robot, body)
+        if turned_over(lidar.topic, placed.clouds_in(placed.world)):
+            up = 1.0 if own.ground.kind == "upside-down" else -1.0
+            return self._assumed(replace(lidar, mounting=self.mounting(lidar.topic, up)[0] or own), self._robot, body)
+        return placed
+
+    def _assumed(self, lidar: Lidar, robot: RobotTransforms, body: str) -> Lidar:
+        own, height = lidar.mounting, lidar.mounting.ground.height * (not lidar.mounting.static_tf)
+        assumed = f"{body} {own.target_frame or own.frame.removeprefix('/')} 0 0 {height:.3g} 0 0 0"
+        added = filter(None, (own.static_tf, assumed))
+        return replace(lidar, buffer=robot.reading.with_static(added), assumed=assumed)
+
+    def _judged(self, facts: TopicFacts, frame: str, up: float = 0.0) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
         ups = (up.z_of(places.source_frame or facts.frame, self.buffer) for up in self.ups.values())
-        return facts.mounting(places, self.buffer, next(filter(None, ups), 0.0))
+        return facts.mounting(places, self.buffer, up or next(filter(None, ups), 0.0))
 
     def moving_frames(self, topic: str) -> Iterator[str]:
         """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""

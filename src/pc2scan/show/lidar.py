@@ -94,15 +94,7 @@ _PIXELS, _A_ROW = 2_000, 4
 
 
 def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
-    """Ask for the facts about a topic with clouds that a command depends on.
-
-    Parameters
-    ----------
-    facts
-        The topic.
-    end_ns
-        The log time of the recording's last message; None without messages.
-    """
+    """Ask for the facts about a topic that a command depends on; the last message's log time is None without any."""
     for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE):
         facts.ask(fact)
     if end_ns is not None:
@@ -177,6 +169,8 @@ class Lidar:
         What is wrong with its clock; None if nothing is.
     ups
         The direction of up by each IMU that shows it.
+    assumed
+        The `static_tf` that connects it with the robot, if no transform does: above the robot's frame, looking ahead.
     scene
         What commands are tried on, once one is.
     """
@@ -191,6 +185,7 @@ class Lidar:
     known_ns: tuple[int, int]
     clock: ClockFinding | None
     ups: Mapping[str, UpEstimate]
+    assumed: str = ""
     scene: Scene | None = None
 
     @property
@@ -343,10 +338,7 @@ class Lidar:
     def tried_clouds(self, *, is_placed: bool) -> list[Points]:
         """Return clouds to try a command on, with stamps of their middles: the first ones if they are parts.
 
-        Parameters
-        ----------
-        is_placed
-            Whether they are placed in the frame of the scans, not in their own.
+        They are in the frame of the scans if they are to be placed, and otherwise in their own.
         """
         stamped, most, own = self.clouds, _CLOUDS, self.mounting
         frame = own.frame if self.parts or self.is_registered else own.judged_in

@@ -83,10 +83,8 @@ def body_of(
     ----------
     clouds
         The transforms to a frame that does not move, if they are known, and the points, (N, 3), of `Lidar.placed`.
-    sensor
-        The position of the sensor.
-    low, high
-        The heights of the scans.
+    sensor, low, high
+        The position of the sensor, and the heights of the scans.
     """
     # In how many clouds each cell has returns.
     small, large = np.zeros((2, 2 * _CELLS + 1, 2 * _CELLS + 1), np.intp)
@@ -256,12 +254,15 @@ def _topics(group: Sequence[Lidar], sources: Sequence[Reader], types: Mapping[st
 def _choices(group: Sequence[Lidar], lidars: Sequence[Lidar], given: Mapping[str, Any]) -> Iterator[Choice]:
     lidar = group[0]
     yield Choice("preset", _PRESET, "beams, limits and times that SLAM and navigation accept")
-    given = dict(given)
-    static = [lidar.mounting.static_tf for lidar in group if lidar.mounting.static_tf]
+    given, times = dict(given), list(_times(group))
+    static = {lidar.mounting.static_tf: "makes the clouds level" for lidar in group}
+    if any(choice.name == "fixed_frame" for choice in times):
+        static |= {lidar.assumed: "a guess, by which nothing but motion is corrected" for lidar in group}
+    static.pop("", None)
     if static:
         given["static_tf"] = (*given.get("static_tf", ()), *static)
     reasons = {"odom_topic": "says how the robot moves", "cloud_scale": "makes metres of the clouds' unit"}
-    reasons["static_tf"] = "makes the clouds level" if static else "as given"
+    reasons["static_tf"] = "; ".join(dict.fromkeys(static.values())) or "as given"
     for option, value in given.items():
         alone = value[0] if isinstance(value, tuple) and len(value) == 1 else value
         yield Choice(option, alone, reasons.get(option, "as given"))
@@ -273,7 +274,6 @@ def _choices(group: Sequence[Lidar], lidars: Sequence[Lidar], given: Mapping[str
     elif any(stamp_faults(lidar.facts) for lidar in group):
         yield Choice("stamps", "log", "its stamps go back, or are 0")
     yield from _heights(group, lidars)
-    times = list(_times(group))
     yield from times
     own = lidar.mounting.frame if lidar.is_registered else ""
     yield from _edge_cuts(group, next((choice.value for choice in times if choice.name == "fixed_frame"), own))
@@ -345,15 +345,8 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
 def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     """Yield ``start`` or ``end``, seconds, and why, so that the first and last clouds have transforms; or nothing.
 
-    A cloud is skipped if there is no transform at its stamp, or at none of its points' times. Clouds that lack
-    transforms for longer than all are known are left as they are: they may have some.
-
-    Parameters
-    ----------
-    lidars
-        The topics with clouds that become one scan.
-    fixed
-        The frame that does not move; empty if there is none.
+    A cloud is skipped if there is no transform to the fixed frame at its stamp, or at none of its points' times. Clouds
+    that lack transforms for longer than all are known are left as they are: they may have some.
     """
     buffer, start_ns, (first_ns, last_ns) = lidars[0].buffer, lidars[0].recorded.start_ns or 0, lidars[0].known_ns
     if not fixed or buffer is None:
@@ -420,19 +413,17 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
         yield Choice("exclude_box", value if value[1:] else value[0], ", ".join(dict.fromkeys(boxes.values())))
 
 
-def odometry_doubts(lidars: Iterable[Lidar]) -> list[str]:
-    """Return what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
-    doubts: list[str] = []
+def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
+    """Yield what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
     for lidar in lidars:
         if (buffer := lidar.buffer) is None:
             continue
         motion = lidar.motion(0.1)
         # Frames that are the wrong way round move nothing.
         fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
-        doubts.append(odometry_of(buffer, fixed, lidar.mounting.frame).doubt)
+        yield odometry_of(buffer, fixed, lidar.mounting.frame).doubt
         if motion is not None and lidar.mounting.judged_in == lidar.mounting.frame and not lidar.is_registered:
-            doubts.append(turned_over(lidar.topic, lidar.clouds_in(fixed)))
-    return list(dict.fromkeys(filter(None, doubts)))
+            yield turned_over(lidar.topic, lidar.clouds_in(fixed))
 
 
 def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
@@ -444,18 +435,4 @@ def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
                 f"{lidar.topic}: its points have no times, so scans are distorted by the motion within a cloud, "
                 f"{motion.metres:.2f} m and {math.degrees(motion.radians):.1f} deg; "
                 "`point_time=azimuth` computes them for `deskew`"
-            )
-
-
-def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:
-    """Yield a note for each lidar that no transform connects with the robot, with the line to complete."""
-    for lidar in lidars:
-        frame, buffer = lidar.mounting.frame.removeprefix("/"), lidar.buffer
-        body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
-        is_own = lidar.mounting.judged_in.removeprefix("/") == frame
-        if frame and body and is_own and lidar.transform(body, frame) is None:
-            yield (
-                f"{lidar.topic}: no transform connects {frame!r} with {body}: complete "
-                f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` (metres and radians), or give the robot's model, "
-                f"`urdf=robot.urdf`; with `target_frame={body}`"
             )

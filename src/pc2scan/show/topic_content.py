@@ -564,9 +564,7 @@ def sample_cloud(most: int, message: RawMessage) -> ShownCloud | str:
     return ShownCloud(cloud.frame_id, cloud.stamp_ns, points, int(nan.sum()), int(zero.sum()), *layout)
 
 
-def describe_clouds(
-    topic: str, sampled: list[ShownCloud | str], places: Placer, mounting: Mounting | None
-) -> tuple[CloudInfo, list[ShownCloud]]:
+def describe_clouds(topic: str, sampled: list[ShownCloud | str], places: Placer) -> tuple[CloudInfo, list[ShownCloud]]:
     """Return the properties of a topic's clouds, and the clouds, which leave ``sampled``, in the frame of scans.
 
     Parameters
@@ -577,8 +575,6 @@ def describe_clouds(
         What `sample_cloud` returned.
     places
         The frame of scans.
-    mounting
-        How the first clouds are mounted.
     """
     count = len(sampled)
     problems: dict[str, None] = {}
@@ -615,7 +611,6 @@ def describe_clouds(
         zero_share=zeros / examined,
         limits=_limits(parts),
         above_zero_share=sum(int((part[2] > 0).sum()) for part in parts) / max(1, kept),
-        mounting=mounting,
     ), clouds
 
 

@@ -292,7 +292,7 @@ class TransformBuffer:
             "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` poses; `source_frame` corrects a frame_id"
         )
         if target and self.frames and not near:
-            advice = f"{mount_text(name, self.frames, target)}, `urdf` or `tf_from` reads that from elsewhere"
+            advice = mount_text(name, self.frames, target)
         message = f"no transform has the {'source ' if target else ''}frame {name!r}; {known}"
         raise UnconnectedError(message, stamp_ns=stamp_ns, hint=f"{near} {advice}".strip())
 
@@ -371,7 +371,8 @@ def mount_text(frame: str, frames: Collection[str], body: str = "") -> str:
         The frames with transforms; the robot's is among them, or ``body``.
     """
     body = next((name for name in BODIES if name in frames), body) or "base_link"
-    return f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` says where it is mounted (metres, radians)"
+    static = f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` says where it is mounted (metres, radians)"
+    return f"{static}, `urdf` or `tf_from` reads that from elsewhere"
 
 
 def named_in_namespace(name: str, frames: Collection[str]) -> str:
@@ -432,7 +433,7 @@ def unconnected_error(
         kind, tops = TransformError, [frames[next(reversed(walk.links))] for walk in (target_walk, source_walk)]
         where = f"at this time [{query.target}] leads up to [{tops[0]}], [{query.source}] to [{tops[1]}]"
     elif not set(BODIES).isdisjoint(target_tree.frames) and set(BODIES).isdisjoint(source_tree.frames):
-        advice = f"{mount_text(query.source, target_tree.frames)}, `urdf` or `tf_from` reads that from elsewhere"
+        advice = mount_text(query.source, target_tree.frames)
     message = f"no transforms connect [{query.source}] with [{query.target}]: {where}"
     return kind(message, stamp_ns=query.stamp_ns, hint=f"{advice}; {_SEE_TF}")
 

@@ -17,7 +17,6 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import (
     JUDGED_CLOUDS,
     LEVEL,
-    NEAR_MOUNT,
     ONE_FLOOR,
     Ground,
     are_enough,
@@ -31,10 +30,11 @@ from pc2scan.core.scene import (
     tolerances,
 )
 
+from .buffer import mount_text
 from .frames import BODIES, WORLDS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -136,13 +136,10 @@ class Mounting(NamedTuple):
     @property
     def cure(self) -> str:
         """How to make the clouds level, as a sentence; empty if unknown."""
-        if self.ground.kind == "slanted" and not self.target_frame:
-            known = shlex.quote(f"base_link {self.frame.removeprefix('/')} X Y Z ROLL PITCH YAW")
-            return f"`static_tf={known}` `target_frame=base_link` say how the sensor is mounted (metres, radians)"
         if not self.target_frame:
-            return ""
+            return mount_text(self.frame.removeprefix("/"), ()) if self.ground.kind == "slanted" else ""
         floor = None if self.heights is None or not self.static_tf else self.heights.floor
-        at = "" if floor is None else f", with the floor at z = {_short(f'{floor:.2f}')} m"
+        at = "" if floor is None else f", with the floor at z = {_short(floor, 2)} m"
         return f"{self.options} makes it level{at}"
 
     @property
@@ -195,39 +192,63 @@ def mounting(
     samples = [cloud.points for cloud in clouds]
     seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
     if (transform := clouds[0].transform) is not None:
-        ground, fault = seen.ground, _fault(seen.ground)
-        if not (ground.off and ground.kind != "slanted") and (tilted := clouds[0].floor_tilted_by_transform):
-            ground = Ground("tilted", tilted.up, tilted.height)
-            fault = (
-                f"tilted by {math.degrees(ground.tilt):.1f} deg by the transform of {frame!r}, in which the ground is "
-                "level; expected a mount that leaves it level"
-            )
-        if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
-            return _corrected(seen, judged_in, moved, ground, samples)._replace(fault=fault)
+        moved = None if buffer is None else _lookup(buffer, judged_in, frame, stamp_ns)
         recorded = _recorded_floor(buffer, judged_in, stamp_ns)
-        if not fault and (turned := _turned(seen, judged_in, transform, samples, recorded)):
-            return turned
+        if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
+            return elsewhere
+        if seen.ground.off and seen.ground.kind != "slanted" and moved is not None:
+            return _corrected(seen, judged_in, moved, seen.ground, samples, recorded)
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
-        return seen._replace(fault=fault, heights=heights)
+        return seen._replace(fault=_fault(seen.ground), heights=heights)
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
         return by_transforms
-    if not seen.ground.off or seen.ground.kind == "slanted":
-        heights = suitable_heights(seen.ground, samples)
-        if heights and seen.ground.height and (up < 0 or (not up and _may_be_ceiling(seen.ground, samples))):
-            said = "by the IMU z points down" if up else "no transform and no IMU says that z points up"
-            doubt = f"{said}: is what seems the floor the ceiling, and the sensor upside down?"
-            heights = heights._replace(doubt=doubt)
-        return seen._replace(fault=_fault(seen.ground), heights=heights)
-    level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height))
-    name = f"{frame.removeprefix('/')}_level"
-    return _mounted_on(seen, name, level, suitable_heights(seen.ground, samples, level))
+    own = _by_clouds(seen)
+    if own.static_tf or not (up < 0 or own.ground.height or own.ground.ceiling):
+        return own
+    over = _by_clouds(seen._replace(ground=_ground_above(samples)))
+    hangs = not up and _may_be_ceiling(own.ground, samples)
+    is_over = up < 0 or (hangs and not 0 < own.ground.height <= _HIGHEST)
+    if over.ground.height and is_over and (up < 0 or over.ground.height <= _HIGHEST):
+        own, over = over, own
+    return own if up or not hangs else own._replace(heights=_doubted(own, over))
+
+
+def _by_clouds(seen: Mounting) -> Mounting:
+    """Return how clouds are mounted by what they show alone."""
+    ground = seen.ground
+    if not ground.off or (ground.kind == "slanted" and ground.up is None):
+        return seen._replace(fault=_fault(ground), heights=suitable_heights(ground, seen.samples))
+    level = Rigid.from_rpy(*ground.level_from_frame, (0.0, 0.0, ground.height))
+    name = f"{seen.frame.removeprefix('/')}_level"
+    return _mounted_on(seen, name, level, suitable_heights(ground, seen.samples, level))
+
+
+def _ground_above(samples: _Samples) -> Ground:
+    """Return the ground if the sensor is upside down."""
+    over = common_ground([find_ground(points * (1.0, -1.0, -1.0)) for points in samples])
+    x, y, z = over.normal
+    return over._replace(kind="upside-down", up=(x, -y, -z)) if over.kind == "level" else Ground("unknown")
+
+
+def _doubted(likely: Mounting, other: Mounting) -> Heights | None:
+    """Return the heights of a mounting, with the question whether the sensor is mounted the other way."""
+    if likely.heights is None or not (other.heights and other.heights.suit):
+        return likely.heights
+    limits = f"`min_height={other.heights.low:g}` `max_height={other.heights.high:g}`"
+    doubt = f"is what seems the floor the ceiling, and the sensor upside down? if so, {other.options} {limits}"
+    if likely.static_tf:
+        doubt = f"is the sensor upside down? if not, {limits} without `static_tf` and `target_frame`"
+    return likely.heights._replace(doubt=f"no transform and no IMU says that z points up: {doubt}")
 
 
 def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
     """Return whether what seems the floor may be the ceiling: more hangs than stands, or it is far away and bare."""
     cells = cells_of(np.concatenate(samples))
-    ranges, height = np.hypot(cells[:, 0], cells[:, 1]), cells @ np.array(ground.normal) + ground.height
-    top = percentiles(height, 99)[0] if ground.ceiling is None else ground.height + ground.ceiling
+    ranges, height = np.hypot(cells[:, 0], cells[:, 1]), cells @ np.array(ground.normal)
+    low, top = percentiles(height, 1, 99)
+    low = -ground.height or low
+    top = (top if ground.ceiling is None else ground.ceiling) - low
+    height -= low
     between = np.minimum(height, top - height) > 3 * tolerances(cells)
     # Walls are what is farthest away in a direction.
     direction, wall = sectors_of(cells, _WIDE), np.zeros(math.ceil(360 / _WIDE))
@@ -240,12 +261,11 @@ def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
 def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
     """Return the mounting with another transform of the frame."""
     static = _static(parent, seen.frame, parent_from_frame)
-    target = parent if static else ""
-    return seen._replace(fault=_fault(seen.ground), target_frame=target, static_tf=static, heights=heights)
+    return seen._replace(fault=_fault(seen.ground), target_frame=static and parent, static_tf=static, heights=heights)
 
 
 def _corrected(
-    seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, samples: _Samples, recorded: float = 0.0
+    seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, samples: _Samples, recorded: float
 ) -> Mounting:
     """Return the mounting with the recorded transform rotated until the ground is level.
 
@@ -264,8 +284,7 @@ def _corrected(
 
 def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
     """Return what the transforms say about the frame; None if they neither help nor contradict."""
-    ground = seen.ground
-    body = _body(buffer, seen.frame, stamp_ns)
+    ground, body = seen.ground, _body(buffer, seen.frame, stamp_ns)
     if body is None:
         # No frame is known to be level, so a new frame that makes the clouds level is used.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
@@ -278,26 +297,21 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
     body_ground = common_ground([find_ground(points).believed(points, height) for points in samples])
     ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
-    if body_ground.off and "slanted" in {body_ground.kind, ground.kind}:
-        return None
+    recorded = _recorded_floor(buffer, name, stamp_ns)
+    if elsewhere := _elsewhere(seen._replace(ground=body_ground), name, body_from_frame, samples, recorded):
+        return elsewhere
     if body_ground.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
-        return _corrected(seen, name, body_from_frame, body_ground, samples) if ground.off else None
+        is_wrong = ground.off and "slanted" not in {body_ground.kind, ground.kind}
+        return _corrected(seen, name, body_from_frame, body_ground, samples, recorded) if is_wrong else None
     tilt = body_from_frame.tilt
     # A transform that tilts the frame says why it is slanted.
     if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
         return None
-    recorded = _recorded_floor(buffer, name, stamp_ns)
-    if turned := _turned(seen._replace(ground=body_ground), name, body_from_frame, samples, recorded):
-        return turned
     heights = suitable_heights(body_ground, samples, frame=name, origin_z=height, recorded=recorded)
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
-        # If both are level, what is wide and level in the frame itself are walls.
-        contradicts = ground.kind == "level" and not (body_ground.kind == "level" and tilt > 2 * LEVEL)
-        if contradicts and tilt < math.pi - _NOTABLE_TILT:
-            return None
         how = f"tilted by {math.degrees(tilt):.1f} deg"
         if tilt > math.pi - _NOTABLE_TILT:
             how = "upside down"
@@ -309,40 +323,37 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     return seen._replace(fault=fault, target_frame=name, heights=heights)
 
 
-def _turned(seen: Mounting, target: str, moved: Rigid, samples: _Samples, recorded: float) -> Mounting | None:
+def _elsewhere(seen: Mounting, target: str, moved: Rigid, samples: _Samples, recorded: float) -> Mounting | None:
     """Return the mounting of a sensor that its transform turns wrongly; None if it does not.
 
-    No floor is where the transform to the target says, and what would be the floor otherwise is as far away. For
-    ``samples`` and ``recorded``, see `_corrected`.
+    For ``samples`` and ``recorded``, see `_corrected`; ``seen`` has the ground in their axes.
     """
+    if seen.ground.off and seen.ground.kind != "slanted":
+        return None
     height = float(moved.translation[2]) - recorded
-    if height <= ONE_FLOOR or seen.ground.off or abs(seen.ground.height - height) < NEAR_MOUNT * height:
+    grounds = [ground for points in samples if (ground := floor_elsewhere(points, moved.matrix, height, seen.ground))]
+    if not grounds or 2 * len(grounds) < len(samples):
         return None
-    floors = [plane for points in samples if (plane := floor_elsewhere(points, height))]
-    if not floors or 2 * len(floors) < len(samples):
-        return None
-    up, beside, tilt = floors[0].up, floors[0].height, math.degrees(floors[0].tilt)
-    how = "on its side" if abs(up[2]) < 0.5 else "upside down" if up[2] < 0 else f"tilted by {tilt:.1f} deg"
+    ground, up, tilted = grounds[0], grounds[0].normal, f"tilted by {math.degrees(grounds[0].tilt):.1f} deg"
+    how = "on its side" if abs(up[2]) < 0.5 else "upside down" if up[2] < 0 else tilted
     fault = (
-        f"probably {how}, with {_direction(up)} up: no floor is visible where its transform says, and there is a plane "
-        f"as far away ({beside:.2f} m) as it says that the sensor is high; expected z up"
+        f"placed by a wrong transform: {target} is {how} by it, with {_direction(up)} up, if the floor is the plane "
+        f"that is {ground.height:.2f} m away; expected z up"
     )
-    return _corrected(seen, target, moved, Ground("tilted", up, beside), samples, recorded)._replace(fault=fault)
+    return _corrected(seen, target, moved, ground, samples, recorded)._replace(fault=fault)
 
 
 def _static(parent: str, child: str, rigid: Rigid) -> str:
     """Return the text of `static_tf`; empty if it cannot have such a name."""
     if not (_WORD.fullmatch(parent) and _WORD.fullmatch(child)):
         return ""
-    roll, pitch, yaw = rigid.rpy
-    numbers = [*(f"{value:.3f}" for value in rigid.translation.tolist()), *(f"{x:.4f}" for x in (roll, pitch, yaw))]
-    return " ".join((parent, child, *(_short(number) for number in numbers)))
+    numbers = [*(_short(x, 3) for x in rigid.translation.tolist()), *(_short(x, 4) for x in rigid.rpy)]
+    return " ".join((parent, child, *numbers))
 
 
-def _short(number: str) -> str:
-    """Return a decimal number without trailing zeros."""
-    short = number.rstrip("0").rstrip(".") if "." in number else number
-    return "0" if short in {"-0", ""} else short
+def _short(number: float, digits: int) -> str:
+    """Return a rounded number without trailing zeros."""
+    return f"{round(number, digits) + 0.0:.10g}"
 
 
 def is_upside_down(buffer: TransformBuffer, frame: str, stamp_ns: int) -> bool:
@@ -353,11 +364,8 @@ def is_upside_down(buffer: TransformBuffer, frame: str, stamp_ns: int) -> bool:
 
 def _body(buffer: TransformBuffer, frame: str, stamp_ns: int) -> tuple[str, Rigid] | None:
     """Return the robot's frame, and the transform of another one to it; None if they are the same, or not connected."""
-    for name in BODIES:
-        is_other = name in buffer.frames and name != frame.removeprefix("/")
-        if is_other and (moved := _lookup(buffer, name, frame, stamp_ns)):
-            return name, moved
-    return None
+    names = (name for name in BODIES if name in buffer.frames and name != frame.removeprefix("/"))
+    return next(((name, moved) for name in names if (moved := _lookup(buffer, name, frame, stamp_ns))), None)
 
 
 def _recorded_floor(buffer: TransformBuffer | None, frame: str, stamp_ns: int) -> float:
@@ -368,14 +376,12 @@ def _recorded_floor(buffer: TransformBuffer | None, frame: str, stamp_ns: int) -
     return 0.0 if moved is None else float(moved.translation[2])
 
 
-def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:
-    """Return the frames above a frame that move with it, the nearest first."""
-    ancestors: list[tuple[str, Rigid]] = []
+def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> Iterator[tuple[str, Rigid]]:
+    """Yield the frames above a frame that move with it, the nearest first."""
     for name in buffer.above(frame):
         if name in WORLDS or (moved := _lookup(buffer, name, frame, stamp_ns)) is None:
-            break
-        ancestors.append((name, moved))
-    return ancestors
+            return
+        yield name, moved
 
 
 def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:
@@ -390,18 +396,15 @@ def _fault(ground: Ground) -> str:
         at = "" if ground.up is None else f", and up is {_direction(ground.up)}"
         return f"an optical frame: z points forward{at} {seen}; expected z up"
     if ground.kind == "slanted":
-        return (
-            f"slanted: floor and walls are neither level nor upright {seen}, and which of them is the floor is not "
-            "known; expected z up"
-        )
+        floor = "not known" if ground.up is None else f"perhaps the one at {math.degrees(ground.tilt):.1f} deg"
+        return f"slanted: floor and walls are neither level nor upright {seen}, the floor is {floor}; expected z up"
     if not ground.off or ground.up is None:
         return ""
     how = f"tilted by {math.degrees(ground.tilt):.1f} deg"
     if ground.kind == "upside-down":
         how = f"upside down, and {how}" if ground.tilt > LEVEL else "upside down"
-    normal = ", ".join(_short(f"{part:.2f}") for part in ground.up)
-    away = f"the ground is {ground.height:.2f} m away, its normal is ({normal}) {seen}"
-    return f"{how}: {away}; expected (0, 0, 1)"
+    normal = ", ".join(_short(part, 2) for part in ground.up)
+    return f"{how}: the ground is {ground.height:.2f} m away, its normal is ({normal}) {seen}; expected (0, 0, 1)"
 
 
 def _direction(up: tuple[float, float, float]) -> str:
@@ -409,7 +412,7 @@ def _direction(up: tuple[float, float, float]) -> str:
     axis = int(np.argmax(np.abs(up)))
     if abs(up[axis]) > math.cos(LEVEL):
         return ("-" if up[axis] < 0 else "+") + "xyz"[axis]
-    return "(" + ", ".join(_short(f"{part:.2f}") for part in up) + ")"
+    return "(" + ", ".join(_short(part, 2) for part in up) + ")"
 
 
 def suitable_heights(
@@ -425,18 +428,12 @@ def suitable_heights(
 
     Parameters
     ----------
-    ground
-        The ground in the samples' frame.
-    samples
-        Points of some clouds, metres, relative to the sensor.
+    ground, samples
+        The ground in the samples' frame, and points of some clouds, metres, relative to the sensor.
     target_from_frame
-        The transform to the frame of the heights; None for the samples' frame.
-    frame
-        The robot's frame, if the recording says where the sensor is in it.
-    origin_z
-        The height of the sensor in the samples' frame.
-    recorded
-        The floor in the robot's frame by the recording, unless the clouds show another one.
+        The transform to the frame of the heights; None for the samples' frame, in which the sensor is at ``origin_z``.
+    frame, recorded
+        The robot's frame, if the recording says where the sensor is in it, and the floor in it by the recording.
 
     Notes
     -----
@@ -498,12 +495,7 @@ def _around(z: NDArray[np.float64], sensor: float, top: float) -> Heights:
 def sensor_exclusion(frame: str, target: str) -> tuple[str, str]:
     """Return the option that excludes points at the sensor itself, and its value.
 
-    Parameters
-    ----------
-    frame
-        The frame of the clouds.
-    target
-        The frame of the scans, if it is another one: `range_min` is measured from its origin.
+    `range_min` is measured from the origin of the scans' frame, ``target``.
     """
     if target.removeprefix("/") in {"", frame.removeprefix("/")}:
         return "range_min", "0.1"

@@ -21,10 +21,10 @@ from pc2scan.text import counted, did_you_mean
 
 from .builder import TransformBuilder
 from .sources import AddedPoses, PoseReading, PoseTopic, add_trajectory, attach, joints_to_add
-from .static import parse_model
+from .static import StaticTransform, parse_model
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import TransformRow
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .buffer import TransformBuffer
     from .placing import FrameOptions
     from .sources import Trajectory
-    from .static import RobotModel, StaticTransform
+    from .static import RobotModel
 
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
@@ -258,6 +258,11 @@ class TransformReading:
         except (DecodeError, UsageError) as err:
             self._warnings[f"{connection.topic}: the robot's model cannot be used: {err.message}"] = 1
 
+    def with_static(self, texts: Iterable[str]) -> TransformBuffer:
+        """Return the transforms that can be used, with further static ones, after `finish`."""
+        self._builder.add((StaticTransform.parse(text).row(0) for text in texts), static=True)
+        return self._builder.build()
+
     def finish(self) -> RecordedTransforms:
         """Return the transforms, with warnings: those that cannot be used, and messages that cannot be decoded."""
         builder, notes, static = self._builder, [*self._notes], [*self._options.static]
@@ -372,6 +377,8 @@ class RobotTransforms:
     ----------
     observers
         Take them from the recording; none if it is not clear which topics to use.
+    reading
+        The transforms, once `finish` has added them.
     odometry
         The topic with poses that is used; empty if none is.
     """
@@ -381,7 +388,7 @@ class RobotTransforms:
     ) -> None:
         self._reader = reader
         # Poses are about where the robot is, not about its frames.
-        self._reading = TransformReading(replace(options, trajectory=None))
+        self.reading = TransformReading(replace(options, trajectory=None))
         self._poses = PoseReading(PoseTopic(""), poses)
         self.odometry = ""
         connections: list[Connection] = []
@@ -408,17 +415,17 @@ class RobotTransforms:
         for message in (value for observer in self.observers for value in observer.values):
             with suppress(RecordingError):
                 if message.connection.ros_type in TF_TYPES:
-                    self._reading.add(self._reader, {}, message)
+                    self.reading.add(self._reader, {}, message)
                 elif message.connection.ros_type in POSES:
                     self._poses.add(message)
                 else:
-                    self._reading.add_model(message)
-        buffer = self._reading.finish().buffer
+                    self.reading.add_model(message)
+        buffer = self.reading.finish().buffer
         children = {trajectory.child for trajectory in self._poses.finish()[0]}.intersection(buffer.frames)
         if children and all(buffer.is_rigid(above, child) for child in children for above in buffer.above(child)):
             self.odometry = self._poses.topic
-            self._reading.poses.append(self._poses)
-            buffer = self._reading.finish().buffer
+            self.reading.poses.append(self._poses)
+            buffer = self.reading.finish().buffer
         return buffer if len(buffer) else None
 
 

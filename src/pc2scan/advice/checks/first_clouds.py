@@ -136,7 +136,7 @@ class CloudFacts:
             and is_upside_down(self.robot, own, first.stamp_ns)
         ):
             return False
-        return self.spec.level or first.floor_tilted_by_transform is None
+        return self.spec.level or first.floor_elsewhere is None
 
     @property
     def are_fine(self) -> bool:
