@@ -79,11 +79,9 @@ _OVERHEAD, _ONE_RING = 0.3, 0.9
 #: A floor, or a ceiling, is seen from nearer than so many times its distance; another plane may be a ring on walls.
 _FARTHEST = 12.0
 
-#: Ground that rises does so by so much, metres a metre.
-_LEAST_RISE, _STEEPEST_RISE = 0.02, 0.2
-#: Grass is at most so high above the height that matters, and what is seen over it farther away by so much, metres, in
-#: more than this share of the directions.
-_GRASS, _FARTHER, _GRASSY = 0.2, 0.2, 0.1
+#: Grass is at most so high above the height that matters, metres, which at most this share of the returns in a square,
+#: metres, is above.
+_GRASS, _GRASSY, _SQUARE = 0.2, 0.125, 0.5
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -502,35 +500,24 @@ def outermost(cells: _Points, side: int) -> Plane | None:
     return None
 
 
-def are_ground(points: _Points, low: float) -> NDArray[np.bool_]:
-    """Return which points are on ground that rises, also beyond its part that is found.
+def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
+    """Return which points are on ground that rises above ``low``, or on grass, nearly all of which is below.
 
     Parameters
     ----------
     points
         Finite ones of a cloud, (N, 3), in a frame whose z axis points up.
     low
-        The height from which on ground rises.
+        The lower limit of scans.
+    height
+        How high the sensor is.
     """
     is_above = points[:, 2] > low
-    ground = on_ground(*points.T) & is_above
-    for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
-        if _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
-            ground |= is_above & (np.abs(points @ plane.up + plane.height) < tolerances(points))
-    return ground
-
-
-def are_grass(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
-    """Return which points are just above ``low`` in many directions, and the sensor, which is so high, sees over them.
-
-    In few directions they would be of a thing.
-    """
-    ranges, sector = np.hypot(points[:, 0], points[:, 1]), sectors_of(points, 1.0)
-    farthest = np.zeros(360)
-    np.maximum.at(farthest, sector, ranges)
-    is_low = (points[:, 2] > low) & (points[:, 2] < low + min(_GRASS, height / 3))
-    is_low &= farthest[sector] > ranges + _FARTHER
-    return is_low & (np.unique(sector[is_low]).size > _GRASSY * np.count_nonzero(farthest))
+    squares = np.floor(points[:, :2] / _SQUARE).astype(np.int64) @ np.array([1, 1 << 20])
+    _, places = np.unique(squares, return_inverse=True)
+    is_grass = (np.bincount(places, is_above) <= _GRASSY * np.bincount(places))[places]
+    is_grass &= points[:, 2] < low + min(_GRASS, height / 3)
+    return np.asarray(is_above & (is_grass | on_ground(*points.T)))
 
 
 def sectors_of(points: _Points, wide: float) -> NDArray[np.intp]:

@@ -24,7 +24,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import are_grass, are_ground, sectors_of, thin_points
+from pc2scan.core.scene import are_ground, sectors_of, thin_points
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -506,9 +506,8 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     seen = [np.concatenate(placed)] if lidar.merges or ways else placed
     # From a floor that is not known, nothing rises.
     low = math.inf if heights is None or heights.floor is None else params.min_height
-    rising = [are_ground(xyz, low) for xyz in seen]
-    slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, rising, strict=True)]
-    lies = [up | are_grass(xyz, low, lidar.mounting.ground.height) for xyz, up in zip(seen, rising, strict=True)]
+    lies = [are_ground(xyz, low, lidar.mounting.ground.height) for xyz in seen]
+    slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, lies, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
     every = 1 if lidar.merges else -(-len(clouds) // _CLOUDS)
     marked = []

@@ -49,11 +49,11 @@ _FAR = 0.1
 #: From the first share of returns that may be on the ground on, it is said, and from the second one on, options that
 #: end them are tried. Limits leave at most the second share, and pass by at most the last one of what stands.
 _TOLD, _LYING, _MISSED = 0.1, 0.05, 0.1
+_ON_GROUND = "may be on rising ground, or on grass"
 #: Lower limits that are so much higher are tried, metres, if so much is left above them.
 _HIGHER, _THIN = (0.05, 0.1, 0.15, 0.2), 0.3
-#: What rises less is no slope, no robot drives on steeper ground, and slopes of a robot that does not tilt differ less,
-#: metres a metre.
-_SLOPED, _STEEPEST, _STEADY = 0.03, 0.17, 0.02
+#: No robot drives on steeper ground, and slopes of a robot that does not tilt differ less, metres a metre.
+_STEEPEST, _STEADY = 0.17, 0.02
 #: If nothing lower does, scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
@@ -184,8 +184,7 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
     trials = [tried(options, lidar) for lidar in group]
     worst = max(trial.lying for trial in trials)
     slopes = [slope for lidar in group if lidar.scene for slope in lidar.scene.slopes]
-    on_what = "rising ground" if max(slopes, default=0.0) > _SLOPED else "grass, or on other things that are low"
-    why = f"{worst:.0%} of a cloud's returns may be on {on_what}"
+    why = f"{worst:.0%} of a cloud's returns {_ON_GROUND}"
     outcomes = [(worst, worst, list[Choice](), trials)]
     for way in _ways(options, group, slopes, why) if worst > _LYING else ():
         added = {choice.name: choice.value for choice in way}
@@ -201,19 +200,18 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
         if lying + missed <= _LYING or worst <= _TOLD:
             break
     _, lying, way, after = min(outcomes, key=itemgetter(0))
-    said = f"{lying:.0%} of a cloud's returns may be on {on_what}; `pc2scan view` shows them"
+    said = f"{lying:.0%} of a cloud's returns {_ON_GROUND}; `pc2scan view` shows them"
     findings = dict.fromkeys(text for trial in after for text in trial.findings)
     return [*choices, *way], (*findings, *([said] if lying > _TOLD else ()))
 
 
 def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float], why: str) -> Iterator[list[Choice]]:
-    """Yield options of which one may end the returns on the ground, which rises so much, or on what is low."""
+    """Yield options of which one may end the returns on the ground, which rises so much, or on grass."""
     low, high = options["min_height"], options["max_height"]
     yield [Choice("ground", "remove", why)]
-    if max(slopes) <= _SLOPED:
-        yield from ([Choice("min_height", float(f"{low + by:.2f}"), why)] for by in _HIGHER if low + by + _THIN <= high)
+    yield from ([Choice("min_height", float(f"{low + by:.2f}"), why)] for by in _HIGHER if low + by + _THIN <= high)
     # If the robot tilts, other clouds have steeper ground.
-    elif max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
+    if max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
         rises = Choice("min_height_slope", slope, why)
         yield [rises]
