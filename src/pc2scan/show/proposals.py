@@ -60,8 +60,9 @@ _REACHES, _BELOW = 20.0, 0.2
 #: Cells of the robot's own body, metres; in how many clouds, and what share of them, the same cells have returns.
 _CELL, _FEWEST_CLOUDS, _PERSIST = 0.1, 5, 0.9
 #: Robots stand if more than this share of larger cells, metres, have returns in as many clouds; without odometry, they
-#: move only if so few have. How many cells, small or large, are between the origin and the farthest one.
-_STANDS, _MOVES, _LARGE, _CELLS = 0.5, 0.05, 0.5, 20
+#: move only if so few have, but for the nearest ones. How many cells, small or large, are between the origin and the
+#: farthest one, and the farthest of the nearest.
+_STANDS, _MOVES, _LARGE, _CELLS, _OWN = 0.5, 0.05, 0.5, 20, 2
 #: What does not move is left behind if its place is so many cells from all that stay, and what is seen in its direction
 #: is so far away from it, metres. How many directions there are.
 _AWAY, _LEFT, _DIRECTIONS = 3, 0.3, 360
@@ -100,6 +101,8 @@ def body_of(
         views.append((place, np.minimum.reduce([np.roll(view, step) for step in (-1, 0, 1)])))
         # Not held while the next one is transformed.
         del points, good
+    # The nearest ones may be the robot's own.
+    large[_CELLS - _OWN : _CELLS + _OWN, _CELLS - _OWN : _CELLS + _OWN] = 0
     stays, beyond = (counts >= _PERSIST * len(views) for counts in (small, large))
     standing = beyond.sum() / max(np.count_nonzero(large), 1)
     if len(views) < _FEWEST_CLOUDS or standing > _STANDS:
@@ -115,7 +118,7 @@ def body_of(
             is_off = ~near[tuple((np.floor(moved[:, :2] / _CELL).astype(np.intp) + _CELLS).clip(0, 2 * _CELLS).T)]
             ranges, direction = _polar(moved - sensor)
             behind = view[direction] - ranges
-            is_free = is_off & (behind > _LEFT) & np.isfinite(behind)
+            is_free = is_off & (behind > _LEFT)
             # What is nearer may be too high or too low for the sensor.
             free, farther = free + is_free, farther + (is_free & (ranges >= own_ranges))
             again += is_off & (np.abs(behind) <= _LEFT)
