@@ -79,9 +79,11 @@ _OVERHEAD, _ONE_RING = 0.3, 0.9
 #: A floor, or a ceiling, is seen from nearer than so many times its distance; another plane may be a ring on walls.
 _FARTHEST = 12.0
 
-#: Grass is at most so high above the height that matters, metres, which at most this share of the returns in a square,
-#: metres, is above.
-_GRASS, _GRASSY, _SQUARE = 0.2, 0.125, 0.5
+#: Ground that rises does so by so much, metres a metre.
+_LEAST_RISE, _STEEPEST_RISE = 0.02, 0.2
+#: Grass is at most so high above the height that matters, metres, and in squares of so many metres, few others are
+#: above that, or off a plane.
+_GRASS, _SQUARE, _OTHERS = 0.2, 0.5, 0.125
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -515,9 +517,15 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
     is_above = points[:, 2] > low
     squares = np.floor(points[:, :2] / _SQUARE).astype(np.int64) @ np.array([1, 1 << 20])
     _, places = np.unique(squares, return_inverse=True)
-    is_grass = (np.bincount(places, is_above) <= _GRASSY * np.bincount(places))[places]
-    is_grass &= points[:, 2] < low + min(_GRASS, height / 3)
-    return np.asarray(is_above & (is_grass | on_ground(*points.T)))
+    most = _OTHERS * np.bincount(places)
+    is_grass = (np.bincount(places, is_above) <= most)[places] & (points[:, 2] < low + min(_GRASS, height / 3))
+    ground = is_above & on_ground(*points.T)
+    # Farther away than it is followed, and where nothing stands.
+    for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
+        is_off = np.abs(points @ plane.up + plane.height) >= tolerances(points)
+        if _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
+            ground |= is_above & ~is_off & (np.bincount(places, is_off) <= most)[places]
+    return np.asarray(ground | (is_above & is_grass))
 
 
 def sectors_of(points: _Points, wide: float) -> NDArray[np.intp]:
