@@ -79,8 +79,8 @@ _OVERHEAD, _ONE_RING = 0.3, 0.9
 #: A floor, or a ceiling, is seen from nearer than so many times its distance; another plane may be a ring on walls.
 _FARTHEST = 12.0
 
-#: Ground that rises does so by so much, metres a metre.
-_LEAST_RISE, _STEEPEST_RISE = 0.02, 0.2
+#: Ground that rises does so by so much, metres a metre, and may be one plane but for a part.
+_LEAST_RISE, _STEEPEST_RISE, _ONE_PLANE = 0.03, 0.2, 0.9
 #: Grass is at most so high above the height that matters, metres, and in squares of so many metres, few others are
 #: above that, or off a plane.
 _GRASS, _SQUARE, _OTHERS = 0.2, 0.5, 0.125
@@ -520,10 +520,10 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
     most = _OTHERS * np.bincount(places)
     is_grass = (np.bincount(places, is_above) <= most)[places] & (points[:, 2] < low + min(_GRASS, height / 3))
     ground = is_above & on_ground(*points.T)
-    # Farther away than it is followed, and where nothing stands.
+    # If it is one plane, it goes on where it is not followed, but not where something stands.
     for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
         is_off = np.abs(points @ plane.up + plane.height) >= tolerances(points)
-        if _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
+        if plane.share > _ONE_PLANE and _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
             ground |= is_above & ~is_off & (np.bincount(places, is_off) <= most)[places]
     return np.asarray(ground | (is_above & is_grass))
 
