@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def inside(x: float, y: float, corners: Any) -> bool | None:
 
 
 CORNERS = st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), min_size=3, max_size=7).filter(
-    lambda corners: len({x for x, _ in corners}) > 1 and len({y for _, y in corners}) > 1
+    lambda corners: abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise([*corners, corners[0]]))) > 1e-6
 )
 
 

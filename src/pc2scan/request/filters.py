@@ -254,7 +254,10 @@ def _number_of(node: ast.expr) -> float | None:
 
 
 _BOX = "write 'frame x0 x1 y0 y1 z0 z1' (metres), such as 'base_link -0.4 0.4 -0.3 0.3 0 1.2'"
-_POLYGON = "write 'frame x0 y0 x1 y1 x2 y2 ...' (metres), at least three corners"
+_POLYGON = "write 'frame x0 y0 x1 y1 x2 y2 ...' (metres): three corners or more, in the order of the outline"
+
+#: The area of a polygon that is a line, square metres; that of a rectangle with corners in the wrong order is 0, too.
+_NO_AREA = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,7 +333,8 @@ class ExcludePolygon:
     Raises
     ------
     UsageError
-        If the frame is empty, there are fewer than three corners, one is not finite, or the polygon has no area.
+        If the frame is empty, there are fewer than three corners, one is not finite, or the polygon has no area, as a
+        rectangle whose corners are in the wrong order.
     """
 
     frame: str
@@ -342,13 +346,12 @@ class ExcludePolygon:
 
     def __post_init__(self) -> None:
         is_finite = all(math.isfinite(value) for corner in self.corners for value in corner)
-        has_area = all(len(set(values)) > 1 for values in zip(*self.corners, strict=True))
-        if not self.frame or len(self.corners) < 3 or not is_finite or not has_area:
+        sides = zip(self.corners, (*self.corners[1:], *self.corners[:1]), strict=True)
+        area = abs(sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in sides))
+        if not self.frame or len(self.corners) < 3 or not is_finite or area < _NO_AREA:
             corners = " ".join(f"{value:g}" for corner in self.corners for value in corner)
             raise UsageError(
-                f"`exclude_polygon`: the corners {corners} in {self.frame!r} are no polygon: a polygon has at least "
-                "three finite corners, which are not on one line",
-                hint=_POLYGON,
+                f"`exclude_polygon`: the corners {corners} in {self.frame!r} are no polygon", hint=_POLYGON
             )
 
     @classmethod
