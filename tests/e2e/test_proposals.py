@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 ROOM = (-4.0, 5.0, -3.5, 3.5, 2.6)
 HALL = (-9.0, 12.0, -8.0, 8.0, 5.0)
+CELL = (-3.0, 3.0, -2.5, 2.5, 2.6)
 GARAGE = (-30.0, 30.0, -20.0, 20.0, 3.2)
 CORRIDOR = (-8.0, 14.0, -1.0, 1.2, 2.5)
 DESKS = ((2.0, 3.2, 1.5, 2.3, 0.0, 0.75), (-2.5, -2.0, -2.0, -1.5, 0.0, 1.7), (2.2, 2.6, -2.0, -1.7, 0.0, 1.7))
@@ -70,10 +71,7 @@ WORLDS = {
     "street, no mount": (World(None, YARD[:2], "32 rings", at(1.8), has_mount=False, odometry=""), ""),
     "car park, no mount": (World(GARAGE, PARKED, "16 rings", at(2.43), has_mount=False, odometry=""), ""),
     "base_link at the height of an axle": (World(HALL, DESKS, "32 rings", at(0.6), axle=0.2), ""),
-    "no mount, and no floor in view": (
-        World((-3.0, 3.0, -2.5, 2.5, 2.6), (), "16 rings", at(1.7), has_mount=False, odometry=""),
-        "no floor is visible",
-    ),
+    "no mount, no floor": (World(CELL, (), "16 rings", at(1.7), has_mount=False, odometry=""), "no floor is visible"),
     "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
     "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "is upside down"),
 }
@@ -88,6 +86,13 @@ def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> Non
     assert (found.word, "warning" in found.text) == ("right", bool(said)), found
 
 
-def test_a_lidar_that_turns_the_wrong_way_is_said_before_it_is_converted(tmp_path: Path) -> None:
-    found = outcome(World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), tmp_path)
-    assert (found.word, "info: warning: /points: surroundings are" in found.text) == ("told", True), found
+TOLD = {
+    "info: warning: /points: surroundings are": World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0),
+    "the robot moves, and nothing says how": World(HALL, DESKS, "thin mid-360", at(0.5), "drives", odometry=""),
+}
+
+
+@pytest.mark.parametrize("said", TOLD)
+def test_what_blurs_scans_is_said_before_they_are_made(said: str, tmp_path: Path) -> None:
+    found = outcome(TOLD[said], tmp_path)
+    assert (found.word, said in found.text) == ("told", True), found

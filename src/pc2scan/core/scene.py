@@ -174,9 +174,7 @@ class CloudSample:
     @property
     def origin(self) -> tuple[float, float, float]:
         """The position of the sensor in the frame in which it is judged, metres."""
-        if self.transform is None:
-            return (0.0, 0.0, 0.0)
-        x, y, z = self.transform.translation.tolist()
+        x, y, z = [0.0, 0.0, 0.0] if self.transform is None else self.transform.translation.tolist()
         return x, y, z
 
     @property
@@ -528,6 +526,16 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
     return np.asarray(ground | (is_above & is_grass))
 
 
+def have_moved(ranges: NDArray[np.float64], off: float) -> bool:
+    """Return whether most beams of the last of some scans, (scans, N), end elsewhere than those of the first ones.
+
+    ``off`` is by how much another place is nearer or farther away, metres.
+    """
+    first, *_, last = (part.min(axis=0) for part in np.array_split(ranges, 3) if len(part))
+    both = np.isfinite(first) & np.isfinite(last)
+    return bool(both.any()) and median(np.abs(first[both] - last[both])) > off
+
+
 def sectors_of(points: _Points, wide: float) -> NDArray[np.intp]:
     """Return the number of each point's direction, which is so many degrees wide."""
     turns = np.arctan2(points[:, 1], points[:, 0]) / math.tau + 0.5
@@ -595,8 +603,6 @@ def _refine(
     """Return the least-squares plane through the points near it, beginning with these; None for too few points."""
     normal, offset, squared = np.zeros(3), 0.0, tolerance**2
     for _ in range(4):
-        if inliers.sum() < 10:
-            return None
         members = cells[inliers]
         weights = 1 / squared[inliers]
         middle = weights @ members / weights.sum()
@@ -606,8 +612,8 @@ def _refine(
         inliers = np.abs(cells @ normal - offset) < tolerance
         if among is not None:
             inliers &= among
-    if inliers.sum() < 10:
-        return None
+        if inliers.sum() < 10:
+            return None
     if offset > 0:
         normal, offset = -normal, -offset
     members = cells[inliers]

@@ -524,9 +524,8 @@ def _topic_infos(
     for (topic, msgtype, serialization), group in sorted(groups.items()):
         messages = sum(counts[c.id] for c in group)
         rate = (messages - 1) / seconds if messages > 1 and seconds > 0 else None
-        topics.append(
-            TopicInfo(topic, msgtype, serialization, messages, rate, len(group), any(c.latching for c in group))
-        )
+        is_latched = any(c.latching for c in group)
+        topics.append(TopicInfo(topic, msgtype, serialization, messages, rate, len(group), is_latched))
     return topics
 
 

@@ -24,7 +24,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
-from pc2scan.core.scene import are_ground, sectors_of, thin_points
+from pc2scan.core.scene import are_ground, have_moved, sectors_of, thin_points
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
 from pc2scan.options.call import Options
@@ -405,6 +405,8 @@ _OFF = 0.2
 #: return in less than this share of their beams, what lies is a share of so many beams.
 _NEAR, _NEARLY, _FEWEST = 2.0, 99.0, 0.2
 
+_BLURRED = "the robot moves, and nothing says how, so its scans are blurred: `odom_topic` or `trajectory` says it"
+
 #: The field of points that stand.
 _STANDS = "<stands>"
 
@@ -477,7 +479,7 @@ def tried(options: Mapping[str, Any], lidar: Lidar) -> Trial:
         known = KnownTransforms("", lambda: lidar.buffer, lidar.buffer if spec.needs_transforms else None)
         facts = CloudFacts(lidar.topic, spec, known, scene.samples[: len(counts)], counts[: len(scene.samples)])
         findings += judge(facts).warnings
-    return trial._replace(findings=tuple(findings))
+    return trial._replace(findings=(*findings, *trial.findings))
 
 
 def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
@@ -518,9 +520,8 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
 
 def _placer(spec: ScanSpec, lidar: Lidar, target: str) -> Placer:
     """Return what places clouds in the frame of the scans, which is level if the robot tilts."""
-    buffer, up, tolerance_ns = lidar.buffer, None, spec.params.tolerance_ns
+    buffer, imu, up, tolerance_ns = lidar.buffer, spec.imu, None, spec.params.tolerance_ns
     if spec.level and buffer is not None:
-        imu = spec.imu
         by_frame = UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
         up = by_frame if imu is None else UpByImu(lidar.ups[imu.topic], buffer, tolerance_ns)
     return Placer(target, "", buffer, tolerance_ns, up)
@@ -559,4 +560,6 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-    return Trial(read.min(axis=0, keepdims=True) if lidar.merges else read), counts
+    merged = read.min(axis=0, keepdims=True) if lidar.merges else read
+    is_blurred = lidar.pattern.clouds and not lidar.world and have_moved(read[:, 0], _OFF)
+    return Trial(merged, (_BLURRED,) if is_blurred else ()), counts

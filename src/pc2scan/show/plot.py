@@ -146,9 +146,8 @@ def _draw(
         above.scatter(x[some], y[some], **style)
         side.scatter(x[some], z[some], **style)
     above.scatter(*ends, s=5, c=_SCAN, linewidths=0, label="scan", zorder=3)
-    above.plot(0, 0, "+", c="k", ms=8)
-    side.plot(0, 0, "+", c="k", ms=8)
     for axes, vertical in ((above, limits[1]), (side, limits[2])):
+        axes.plot(0, 0, "+", c="k", ms=8)
         axes.set(xlim=limits[0], ylim=vertical)
         axes.set_aspect("equal", adjustable="box")
         axes.tick_params(labelsize=8)
