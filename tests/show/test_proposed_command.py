@@ -169,7 +169,7 @@ def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_
 #: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.
 RECORDED: dict[str, dict[str, Any]] = {
     # Its odometry is simulated, from the year 1970.
-    "luminar_highway.bag": {"time_offset": "auto", "ground": "remove"},
+    "luminar_highway.bag": {"odom_topic": "/base_pose_ground_truth", "time_offset": "auto", "ground": "remove"},
     "velodyne_vlp32.bag": {"angle_increment": "0.5deg"},
     "ouster_os1_32.mcap": {"angle_increment": "0.5deg", "ground": "remove"},
     # A camera's clock counts from its start.

@@ -328,17 +328,17 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
-            "" if frames.adds_poses or frames.tf_from or surveyed.odometry else _lacking(reader, counts),
+            "" if frames.adds_poses or frames.tf_from else _lacking(reader, counts, surveyed.odometry),
         )
 
 
-def _lacking(reader: Reader, counts: Counter[int]) -> str:
-    """Return what SLAM and navigation need that no messages give; empty if nothing is missing."""
+def _lacking(reader: Reader, counts: Counter[int], odometry: str) -> str:
+    """Return what SLAM and navigation need that no messages give; empty if nothing is missing, or a transform."""
     transforms = [tf for tf in of_types(reader.connections, TF_TYPES) if counts[tf.id]]
-    if not all(connection.is_static for connection in transforms):
-        return ""
-    needs, mount = ("odometry", "") if transforms else ("odometry and the lidar's mount", ", `static_tf` the mount")
-    return f"SLAM and navigation also need {needs}, which the recording does not have: {ADDS_ODOMETRY}{mount}"
+    lacks = {} if odometry or not all(tf.is_static for tf in transforms) else {"odometry": ADDS_ODOMETRY}
+    lacks |= {} if transforms else {"the lidar's mount": "`static_tf` adds the mount"}
+    text = f"SLAM and navigation also need {' and '.join(lacks)}, which the recording does not have: "
+    return text + ", ".join(lacks.values()) if lacks else ""
 
 
 class _SurveyResult:
@@ -405,7 +405,7 @@ class _SurveyResult:
             poses = next(iter(odometry.values())) if len(odometry) == 1 else ()
             survey.ask_robot(_moments(survey.span.first_ns, end_ns) if clouds and end_ns else (), poses)
         survey.read()
-        self._robot = survey.robot
+        self._robot, self._has_transforms = survey.robot, bool(of_types(survey.reader.connections, TF_TYPES))
         self.buffer: TransformBuffer | None = None
         self.warnings: list[str] = []
         self.odometry = ""
@@ -461,7 +461,8 @@ class _SurveyResult:
         body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
         if buffer is None or not (body and frame) or self.places.target_frame or lidar.transform(body, frame):
             return lidar
-        warnings.append(f"{lidar.topic}: no transform connects {frame!r} with {body}: {mount_text(frame, [body])}")
+        if self._has_transforms:
+            warnings.append(f"{lidar.topic}: no transform connects {frame!r} with {body}: {mount_text(frame, [body])}")
         if self._robot is None or buffer.above(frame):
             return lidar
         placed = self._assumed(lidar, self._robot, body)

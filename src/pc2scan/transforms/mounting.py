@@ -242,7 +242,7 @@ def _doubted(likely: Mounting, other: Mounting) -> Heights | None:
 
 
 def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
-    """Return whether what seems the floor may be the ceiling: more hangs than stands, or it is far away and bare."""
+    """Return whether what seems the floor may be the ceiling: more hangs than stands, or it is far away."""
     cells = cells_of(np.concatenate(samples))
     ranges, height = np.hypot(cells[:, 0], cells[:, 1]), cells @ np.array(ground.normal)
     low, top = percentiles(height, 1, 99)
@@ -254,8 +254,8 @@ def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
     direction, wall = sectors_of(cells, _WIDE), np.zeros(math.ceil(360 / _WIDE))
     np.maximum.at(wall, direction[between], ranges[between])
     before = between & (ranges < _BEFORE * wall[direction])
-    stands, hangs = (np.count_nonzero(before & part) for part in (height < top / 2, height >= top / 2))
-    return bool(hangs > 2 * stands + _STRAY or (ground.height > _HIGHEST and stands <= _STRAY))
+    stands, hangs = (int(np.count_nonzero(before & part)) for part in (height < top / 2, height >= top / 2))
+    return bool(hangs > 2 * stands + _STRAY or (ground.height > _HIGHEST and stands <= max(_STRAY, hangs)))
 
 
 def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:

@@ -393,13 +393,12 @@ class RobotTransforms:
         self.odometry = ""
         connections: list[Connection] = []
         with suppress(UsageError):
-            connections = tf_connections(reader.connections, options.tf_topics)
+            connections = [*tf_connections(reader.connections, options.tf_topics), *poses]
         static, moving = (
             [connection for connection in connections if connection.is_static is kind] for kind in (True, False)
         )
         firsts = (static, _SOME_MESSAGES), (_model_connections(reader.connections, options), 1)
         self.observers = [Observer(own, copied_message, most) for own, most in firsts if own]
-        moving += poses if connections else ()
         times_ns = sorted(set(times_ns)) if moving else []
         for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:], fillvalue=2**63):
             end_ns = min(begin_ns + _SOME_NS, next_ns)
@@ -421,7 +420,8 @@ class RobotTransforms:
                 else:
                     self.reading.add_model(message)
         buffer = self.reading.finish().buffer
-        children = {trajectory.child for trajectory in self._poses.finish()[0]}.intersection(buffer.frames)
+        children = {trajectory.child for trajectory in self._poses.finish()[0]}
+        children.intersection_update(buffer.frames or children)
         if children and all(buffer.is_rigid(above, child) for child in children for above in buffer.above(child)):
             self.odometry = self._poses.topic
             self.reading.poses.append(self._poses)
