@@ -81,9 +81,9 @@ _FARTHEST = 12.0
 
 #: Ground that rises does so by so much, metres a metre, and may be one plane but for a part.
 _LEAST_RISE, _STEEPEST_RISE, _ONE_PLANE = 0.03, 0.2, 0.9
-#: Grass is at most so high above the height that matters, metres, and in squares of so many metres, few others are
-#: above that, or off a plane.
-_GRASS, _SQUARE, _OTHERS = 0.2, 0.5, 0.125
+#: Grass is at most so high above the height that matters, metres, which few returns in squares of so many metres are
+#: above.
+_GRASS, _SQUARE, _GRASSY = 0.2, 0.5, 0.125
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -515,14 +515,13 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
     is_above = points[:, 2] > low
     squares = np.floor(points[:, :2] / _SQUARE).astype(np.int64) @ np.array([1, 1 << 20])
     _, places = np.unique(squares, return_inverse=True)
-    most = _OTHERS * np.bincount(places)
-    is_grass = (np.bincount(places, is_above) <= most)[places] & (points[:, 2] < low + min(_GRASS, height / 3))
+    is_grass = (np.bincount(places, is_above) <= _GRASSY * np.bincount(places))[places]
+    is_grass &= points[:, 2] < low + min(_GRASS, height / 3)
     ground = is_above & on_ground(*points.T)
-    # If it is one plane, it goes on where it is not followed, but not where something stands.
+    # If it is one plane, it goes on where it is not followed.
     for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
-        is_off = np.abs(points @ plane.up + plane.height) >= tolerances(points)
         if plane.share > _ONE_PLANE and _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
-            ground |= is_above & ~is_off & (np.bincount(places, is_off) <= most)[places]
+            ground |= is_above & (np.abs(points @ plane.up + plane.height) < tolerances(points))
     return np.asarray(ground | (is_above & is_grass))
 
 
