@@ -88,11 +88,10 @@ def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> Non
 
 TOLD = {
     "info: warning: /points: surroundings are": World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0),
-    "the robot moves, and nothing says how": World(HALL, DESKS, "thin mid-360", at(0.5), "drives", odometry=""),
+    "the robot moves, and nothing says how": World(HALL, DESKS, "sparse", at(0.5), "drives", odometry=""),
 }
 
 
 @pytest.mark.parametrize("said", TOLD)
 def test_what_blurs_scans_is_said_before_they_are_made(said: str, tmp_path: Path) -> None:
-    found = outcome(TOLD[said], tmp_path)
-    assert (found.word, said in found.text) == ("told", True), found
+    assert said in outcome(TOLD[said], tmp_path).text

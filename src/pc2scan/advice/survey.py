@@ -219,9 +219,9 @@ class TopicFacts:
         return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer, up) if clouds else None
 
     def unit_warning(self) -> str:
-        """Return the warning that the clouds are in another unit than metres; empty if they are not."""
+        """Return the warning that the clouds are in another unit than metres; empty if not, or in a world's frame."""
         distance = next((far_away(sample.points) for sample in gathered(self.values(self._samples))), 0.0)
-        return unit_warning(self.topic, distance) if distance else ""
+        return unit_warning(self.topic, distance) if distance and self.frame.removeprefix("/") not in WORLDS else ""
 
     def _ask(
         self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]

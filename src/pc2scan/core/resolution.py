@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 #: Fields in which drivers store the number of a point's laser; the first one that a cloud has is used: Velodyne's,
-#: Ouster's, Hesai's and RoboSense's ``ring``, Autoware's ``channel``, Luminar's ``laser_id``, Livox's ``line``.
-RING_FIELDS = ("ring", "channel", "laser_id", "line")
+#: Ouster's, Hesai's and RoboSense's ``ring``, Autoware's ``channel``, Luminar's ``laser_id``.
+RING_FIELDS = ("ring", "channel", "laser_id")
 
 #: Azimuths that are closer than this, radians, are one direction: two returns of one shot. No lidar has a finer step.
 _SAME = 5e-5

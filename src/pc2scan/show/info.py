@@ -275,7 +275,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             # Only by corrected stamps is it known where the robot was.
             offsets = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()])
             reader, _ = corrected(reader, [], offsets, frames.tf_topics)
-        if is_scaled := options.cloud_scale == 1 and first.are_far_away:
+        if is_scaled := options.cloud_scale == 1 and 0 < len(first.clouds) == len(first.unit_warnings):
             # Cameras and lidars count in millimetres; the warning has the other reading.
             reader, given = scaled(reader, 0.001), {**given, "cloud_scale": 0.001}
         if (clocks and first.buffer is not None) or is_scaled:
@@ -429,12 +429,6 @@ class _SurveyResult:
         tolerance_ns = ProjectionParams().tolerance_ns
         buffer = self.buffer if moved else None
         self.places = Placer(target_frame, survey.frames.source_frame, buffer, tolerance_ns)
-
-    @property
-    def are_far_away(self) -> bool:
-        """Whether all clouds are in another unit, and around their sensors."""
-        around = [topic for topic in self.clouds if self.facts[topic].frame.removeprefix("/") not in WORLDS]
-        return 0 < len(self.clouds) == len(self.unit_warnings) == len(around)
 
     def mounting(self, topic: str, up: float = 0.0) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.

@@ -9,7 +9,8 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from operator import or_
+from itertools import pairwise, product
+from operator import itemgetter, or_
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.points import Points
+from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import are_ground, have_moved, sectors_of, thin_points
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import Pc2ScanError, TransformError
@@ -44,7 +46,6 @@ if TYPE_CHECKING:
     from pc2scan.advice.clocks import ClockFinding
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.conversion.steps import PlacedCloud
-    from pc2scan.core.rigid import Rigid
     from pc2scan.core.rule import PointCounts
     from pc2scan.core.scene import CloudSample
     from pc2scan.model import Connection, RawMessage, Summary
@@ -62,10 +63,11 @@ EDGE_NS = 1_000_000_000
 TOLERANCE = ProjectionParams().transform_tolerance
 
 #: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
-#: shape of their rings, and the largest of a pattern that is sparse, points.
+#: shape of their rings, how many that have few points, and the largest of a pattern that is sparse, points.
 HEADERS = 21
 _LAST_HEADERS = 4_000
 _SHAPES = 3
+_MOST_CLOUDS = 100
 _SPARSE = 60_000
 
 #: How many clouds of a topic are tried, and how many points of each.
@@ -81,14 +83,12 @@ _STEP = math.tau / DIRECTIONS
 #: No lidar takes longer for a turn, seconds.
 _LONGEST_TURN = 1.5
 
-#: A pattern is sparse if a quarter of its clouds fill less than this share of the beams that all fill. Clouds are
-#: enough for a scan if they fill this share; at most so many become one.
-_FILLED = 0.6
-_ENOUGH = 0.9
-_MOST_CLOUDS = 10
-#: Beams of a pattern are so wide, half degrees; wider ones are nearly all filled.
-_NEARLY_ALL = 0.97
-_WIDTHS = (1, 4, 6, 8, 10)
+#: Clouds are enough for a scan if this share of the beams that the next ones fill have a return, of so many at least;
+#: at most those of so many seconds become one, and more than so many only if no wider beams do.
+_ENOUGH, _FEWEST_BEAMS = 0.9, 20
+_LONGEST, _USUAL = 1.0, 10
+#: The widths of beams of a pattern, the first of which is the default, and of directions that it sees, degrees.
+_WIDTHS, _SEEN = (1, 2, 3, 4, 5), 10
 #: So many points show the rows, or the columns, of a camera, which have so many points.
 _PIXELS, _A_ROW = 2_000, 4
 
@@ -109,13 +109,18 @@ def stamp_faults(facts: TopicFacts) -> list[str]:
     return stamps.texts(facts.topic)
 
 
-def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
-    """Return copies of the coordinates of a small cloud, (3, N); None for a large one, and for the grid of a camera."""
+def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32]:
+    """Return copies of the coordinates of a small cloud, (3, N); none of a large one, and of the grid of a camera."""
     xyz = points.xyz()
     if xyz[0].size > _SPARSE or xyz[0].ndim > 1:
-        return None
+        return np.empty((3, 0), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+
+
+def _are_many(clouds: Sequence[NDArray[np.float32]]) -> bool:
+    """Whether no more clouds are needed: those of sparse patterns have few points."""
+    return len(clouds) >= HEADERS and not 0 < sum(map(np.size, clouds)) <= 3 * _SPARSE
 
 
 def _are_whole(masks: Sequence[int]) -> bool:
@@ -124,24 +129,9 @@ def _are_whole(masks: Sequence[int]) -> bool:
 
 
 _DIRECTIONS = Fact(lambda points, _: directions_of(points), HEADERS, are_enough=_are_whole)
-_PATTERN = Fact(_sparse_points, HEADERS)
+_PATTERN = Fact(_sparse_points, _MOST_CLOUDS, are_enough=_are_many)
 _TIMES = times_of(PointTime())
 _SHAPE = shapes_of(step=True, sweep=True, most=_SHAPES)
-
-
-class Pattern(NamedTuple):
-    """How clouds of a sparse pattern fill a scan.
-
-    Attributes
-    ----------
-    clouds
-        How many fill one; 0 if a single one does.
-    degrees
-        How wide the beams have to be for that; 0: as usual.
-    """
-
-    clouds: int = 0
-    degrees: int = 0
 
 
 @dataclass(eq=False)
@@ -281,33 +271,36 @@ class Lidar:
     @cached_property
     def parts(self) -> Sequence[NDArray[np.float32]]:
         """The first clouds, each (3, N) in its own frame, if they are parts of a turn or of a pattern; else empty."""
-        recorded = () if self.step and not self.turn else self.facts.values(_PATTERN)
-        return () if recorded and not self.turn and _are_of_camera(recorded[0]) else recorded
+        recorded = [] if self.step and not self.turn else self.facts.values(_PATTERN)
+        return recorded if self.turn or (recorded and not _are_of_camera(np.concatenate(recorded, axis=1))) else []
 
     @cached_property
-    def pattern(self) -> Pattern:
-        """How clouds of a sparse pattern fill a scan."""
-        heights = self.mounting.heights
-        if self.turn or heights is None:
-            return Pattern()
-        placed = (self.in_target(points, self.mounting.frame) for points in self.parts)
-        filled = [_filled_beams(points, heights.low, heights.high) for points in placed]
-        clouds = [beams for beams in filled if beams.any()]
-        if len(clouds) < _MOST_CLOUDS:
-            return Pattern()
-        every = np.logical_or.reduce(clouds)
-        quarter = sorted(cloud.sum() for cloud in clouds)[len(clouds) // 4]
-        if every.sum() < 20 or quarter >= _FILLED * every.sum():
-            return Pattern()
-        for width in _WIDTHS:
-            wide = [cloud.reshape(-1, width).any(axis=1) for cloud in clouds]
-            most = np.logical_or.reduce(wide).sum()
-            for count in range(2, _MOST_CLOUDS + 1):
-                groups = (wide[n : n + count] for n in range(0, len(wide) - count + 1, count))
-                enough = _ENOUGH if width == 1 else _NEARLY_ALL
-                if median([np.logical_or.reduce(group).sum() for group in groups]) >= enough * most:
-                    return Pattern(count, width // 2)
-        return Pattern(_MOST_CLOUDS, _WIDTHS[-1] // 2)
+    def pattern(self) -> tuple[int, int]:
+        """How many clouds of a sparse pattern fill a scan, and how many degrees wide its beams are; 1: as usual.
+
+        Most beams that as many further clouds fill have a return.
+        """
+        heights, own, back = self.mounting.heights, self.mounting.frame, Rigid.identity()
+        if self.turn or not self.period or heights is None:
+            return 1, 1
+        views: list[NDArray[np.bool_]] = []
+        for number, xyz in enumerate(self.parts):
+            stamp_ns = self.facts.headers[0].stamp_ns + round(number * self.period * 1e9)
+            place = self.transform(self.world, self.target or own, stamp_ns) if self.world else back
+            if place is not None:
+                # All are seen from the place of the first one.
+                back = back if views else place.inverse()
+                points = self.in_target(xyz[:, np.isfinite(xyz).all(axis=0) & xyz.any(axis=0)], own, stamp_ns)
+                inside = (points[:, 2] >= heights.low) & (points[:, 2] <= heights.high)
+                views.append(_view(back.compose(place).apply(points), inside))
+        best, most = (0.0, (1, 1)), min(len(views) // 2, round(_LONGEST / self.period))
+        sizes, usual = product(_WIDTHS, range(1, most + 1)), _USUAL if self.world else 0
+        # If it is not known how the robot moves, wider beams are better than more clouds.
+        for width, count in sorted(sizes, key=lambda size: size[1] if size[1] > usual else 0):
+            best = max(best, (_refilled(views, count, width), (count, width)), key=itemgetter(0))
+            if best[0] >= _ENOUGH:
+                break
+        return best[1]
 
     @cached_property
     def floor_tilt(self) -> float | None:
@@ -333,7 +326,7 @@ class Lidar:
     @property
     def merges(self) -> bool:
         """Whether several clouds become one scan."""
-        return bool(self.turn or self.pattern.clouds)
+        return bool(self.turn or self.pattern[0] > 1)
 
     def tried_clouds(self, *, is_placed: bool) -> list[Points]:
         """Return clouds to try a command on, with stamps of their middles: the first ones if they are parts.
@@ -382,18 +375,31 @@ def _middle(directions: int) -> float:
 
 
 def _are_of_camera(points: NDArray[np.floating[Any]]) -> bool:
-    """Whether points, (3, N), are the pixels of a camera, which has the same few rows and columns in each cloud."""
+    """Whether points, (3, N), are the pixels of a camera, which has the same few rows and columns; also without any."""
     x, y, z = points[:, np.isfinite(points).all(axis=0)][:, :_PIXELS]
     with np.errstate(all="ignore"):
         of_axes = (np.round(one / other, 4) for one, other in ((x, z), (y, z), (y, x), (z, x)))
-        return any(_A_ROW * np.unique(places).size < places.size for places in of_axes)
+        return any(_A_ROW * np.unique(places).size <= places.size for places in of_axes)
 
 
-def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
-    """Return which beams of half a degree have points between two heights."""
-    x, y, z = points.T
-    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0)) & np.isfinite(x) & np.isfinite(y)
-    return np.bincount(sectors_of(points[good], 0.5), minlength=720) > 0
+def _view(points: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which directions, a degree wide, have points inside, and are near ones that have any, (2, 360)."""
+    beams = np.bincount(sectors_of(points[inside], 1), minlength=360)
+    looks = np.bincount(sectors_of(points, _SEEN), minlength=360 // _SEEN)
+    return np.array([beams, np.repeat(looks, _SEEN)]) > 0
+
+
+def _refilled(views: Sequence[NDArray[np.bool_]], count: int, width: int) -> float:
+    """Return which share of the beams that so many clouds fill as many before them, which look there, have filled.
+
+    0: few are known. Beams are so many degrees wide.
+    """
+    again = wanted = 0
+    groups = [np.logical_or.reduce(views[first : first + count]) for first in range(0, len(views), count)]
+    for (before, looks), (after, _) in pairwise(groups[: len(views) // count]):
+        had, has = (beams.reshape(-1, width).any(axis=1) for beams in (before, after & looks))
+        again, wanted = again + int((had & has).sum()), wanted + int(has.sum())
+    return again / wanted if wanted >= _FEWEST_BEAMS else 0.0
 
 
 # --- Trial ---
@@ -561,5 +567,5 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
     merged = read.min(axis=0, keepdims=True) if lidar.merges else read
-    is_blurred = lidar.pattern.clouds and not lidar.world and have_moved(read[:, 0], _OFF)
+    is_blurred = lidar.pattern[0] > 1 and not lidar.world and have_moved(read[:, 0], _OFF)
     return Trial(merged, (_BLURRED,) if is_blurred else ()), counts

@@ -284,7 +284,7 @@ def _choices(group: Sequence[Lidar], lidars: Sequence[Lidar], given: Mapping[str
 
 def _beams(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the width of the beams, if the lidars turn and the default one suits none of them, or for a pattern."""
-    if len(group) == 1 and (degrees := group[0].pattern.degrees):
+    if len(group) == 1 and (degrees := group[0].pattern[1]) > 1:
         yield Choice("angle_increment", f"{degrees}deg", "the pattern is too sparse for the default beams")
     if not all(lidar.step for lidar in group):
         return
@@ -317,7 +317,7 @@ def _heights(group: Sequence[Lidar], lidars: Sequence[Lidar]) -> Iterator[Choice
 def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the options about motion, packets and patterns."""
     lidar = group[0]
-    turn, clouds = max(lidar.turn for lidar in group), 0 if group[1:] else lidar.pattern.clouds
+    turn, clouds = max(lidar.turn for lidar in group), 0 if group[1:] or lidar.pattern[0] == 1 else lidar.pattern[0]
     within_cloud = lidar.motion(lidar.duration or lidar.period or 0.1)
     gathered = turn or clouds * lidar.period or (lidar.period if group[1:] else 0.0)
     within_scan = lidar.motion(gathered) if gathered else within_cloud
