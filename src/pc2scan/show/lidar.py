@@ -493,7 +493,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     is_placed = bool(lidar.mounting.static_tf) or lidar.is_registered
     placer = _placer(spec, lidar, "" if is_placed else spec.params.target_frame)
     # One part shows too little of the ground, so they are judged together, if it is known how the robot moves.
-    fixed = spec.fixed_frame if spec.level else lidar.world if lidar.parts and not lidar.mounting.static_tf else ""
+    fixed = spec.fixed_frame if spec.level else lidar.world if lidar.parts and not is_placed else ""
     clouds: list[PlacedCloud] = []
     ways: list[Rigid] = []
     for points in lidar.tried_clouds(is_placed=is_placed):
