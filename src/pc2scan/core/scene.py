@@ -713,6 +713,8 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
         x, y, z = (way @ np.array(own.normal)).tolist()
         floor = Ground("tilted", (x, y, z), own.height)
         is_tilted = way is matrix and _LEAST_TILT < turned < math.pi - _LEAST_TILT and not is_level
+        # What is also much nearer, or farther away, than the transform says is another plane.
+        is_tilted &= height <= ONE_FLOOR or abs(own.height - height) < NEAR_MOUNT * max(1.0, own.height)
         if is_tilted and own.up and max(own.tilt, abs(floor.tilt - turned)) < _LEVEL_BESIDE * turned:
             return floor
         if is_missed and floor.tilt > LEVEL and abs(own.height - height) < near:
