@@ -272,7 +272,7 @@ class Lidar:
     def parts(self) -> Sequence[NDArray[np.float32]]:
         """The first clouds, each (3, N) in its own frame, if they are parts of a turn or of a pattern; else empty."""
         recorded = [] if self.step and not self.turn else self.facts.values(_PATTERN)
-        return recorded if self.turn or (recorded and not _are_of_camera(np.concatenate(recorded, axis=1))) else []
+        return recorded if self.turn or (recorded and not _are_of_camera(recorded[:_SEVERAL])) else []
 
     @cached_property
     def pattern(self) -> tuple[int, int]:
@@ -374,9 +374,9 @@ def _middle(directions: int) -> float:
     return float(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) if angles.size else 0.0
 
 
-def _are_of_camera(points: NDArray[np.floating[Any]]) -> bool:
-    """Whether points, (3, N), are the pixels of a camera, which has the same few rows and columns; also without any."""
-    x, y, z = points[:, np.isfinite(points).all(axis=0)][:, :_PIXELS]
+def _are_of_camera(clouds: Sequence[NDArray[np.float32]]) -> bool:
+    """Whether clouds, each (3, N), are of a camera, whose pixels are in few rows and columns; also without points."""
+    x, y, z = np.concatenate([xyz[:, np.isfinite(xyz).all(axis=0)] for xyz in clouds], axis=1)[:, :_PIXELS]
     with np.errstate(all="ignore"):
         of_axes = (np.round(one / other, 4) for one, other in ((x, z), (y, z), (y, x), (z, x)))
         return any(_A_ROW * np.unique(places).size <= places.size for places in of_axes)
