@@ -82,8 +82,8 @@ _FARTHEST = 12.0
 #: Ground that rises does so by so much, metres a metre, and may be one plane but for a part.
 _LEAST_RISE, _STEEPEST_RISE, _ONE_PLANE = 0.03, 0.2, 0.9
 #: Grass is at most so high above the height that matters, metres, which few returns in squares of so many metres are
-#: above.
-_GRASS, _SQUARE, _GRASSY = 0.2, 0.5, 0.125
+#: above. What is from so high above the lowest return in one up to so high, metres, stands there.
+_GRASS, _SQUARE, _GRASSY, _STANDS, _HANGS = 0.2, 0.5, 0.125, 0.3, 2.0
 
 #: A floor is farther from the sensor than so many times the tolerance: a ring that is tilted a little is none.
 _CLEAR = 2.5
@@ -157,8 +157,7 @@ class CloudSample:
         x, y, z = cloud.xyz()
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
-        points = thin_points(x, y, z)
-        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, points, zeros=zeros, lossy=cloud.lossy)
+        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, thin_points(x, y, z), zeros=zeros, lossy=cloud.lossy)
 
     def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
         """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
@@ -376,8 +375,7 @@ class Ground(NamedTuple):
     @property
     def tilt(self) -> float:
         """Angle between up and the z axis, radians; for a frame that is upside down, between up and -z."""
-        up = self.normal
-        return _angle(-up[2] if self.kind == "upside-down" else up[2])
+        return _angle(self.normal[2] * (-1 if self.kind == "upside-down" else 1))
 
     def believed(self, points: _Points, height: float) -> Ground:
         """Return what the points show if the transforms say how high the sensor is, above 0: z points up by them.
@@ -517,7 +515,12 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
     _, places = np.unique(squares, return_inverse=True)
     is_grass = (np.bincount(places, is_above) <= _GRASSY * np.bincount(places))[places]
     is_grass &= points[:, 2] < low + min(_GRASS, height / 3)
-    ground = is_above & on_ground(*points.T)
+    lowest = np.full(places.max(initial=0) + 1, np.inf)
+    np.minimum.at(lowest, places, points[:, 2])
+    over = points[:, 2] - lowest[places]
+    # The foot of what stands is no ground; the filter may take it for that.
+    stands = np.bincount(places, (over > _STANDS) & (over < _HANGS)) > 0
+    ground = is_above & on_ground(*points.T) & ~stands[places]
     # If it is one plane, it goes on where it is not followed.
     for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
         if plane.share > _ONE_PLANE and _LEAST_RISE < abs(math.tan(plane.tilt)) < _STEEPEST_RISE:
