@@ -444,9 +444,11 @@ class Trial(NamedTuple):
         return float((lies.sum(axis=1) / np.maximum(returns.sum(axis=1), 1 + _FEWEST * returns.shape[1])).max())
 
     def missed_in(self, other: Trial) -> float:
-        """Return which share of the returns is on what stands, and passes by it in other scans."""
-        passes = np.isfinite(self.ranges[:, 1]) & (other.ranges[:, 0] >= self.ranges[:, 1] + _OFF)
-        return float(passes.sum() / max(np.isfinite(self.ranges[:, 0]).sum(), 1))
+        """Return which share of the returns is on what stands, and ends behind it, or before it, in other scans."""
+        # What one scan of sparse parts sees first is chance.
+        before, after, several = self.ranges[:, 1], other.ranges[:, 1], len(self.ranges) > 1
+        is_off = np.isfinite(before) & ((after > before + _OFF) | ((after < before - _OFF) & several))
+        return float(is_off.sum() / max(np.isfinite(self.ranges[:, 0]).sum(), 1))
 
 
 class Scene(NamedTuple):
@@ -517,9 +519,8 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     lies = [are_ground(xyz, low, lidar.mounting.ground.height) for xyz in seen]
     slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, lies, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
-    every = 1 if lidar.merges else -(-len(clouds) // _CLOUDS)
     marked = []
-    for cloud, stands in list(zip(clouds, parts, strict=True))[::every]:
+    for cloud, stands in list(zip(clouds, parts, strict=True))[:: 1 if lidar.merges else -(-len(clouds) // _CLOUDS)]:
         marked.append(replace(cloud, points=cloud.points.replace({_STANDS: stands}, cloud.points.frame_id)))
     return Scene(marked, placer, samples, slopes)
 
