@@ -272,11 +272,10 @@ def _corrected(
     ``ground`` is the ground by the recorded transform; ``samples`` are in its axes; for ``recorded``, see
     `suitable_heights`.
     """
-    level = Rigid.from_rpy(*ground.level_from_frame)
+    level, height = Rigid.from_rpy(*ground.level_from_frame), float(target_from_frame.translation[2])
     turned = level.compose(target_from_frame).quaternion
     right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
     moved = [level.apply(points) for points in samples]
-    height = float(right.translation[2])
     corrected = common_ground([find_ground(points).believed(points, height - recorded) for points in moved])
     heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
     return _mounted_on(seen, target, right, heights)
@@ -301,9 +300,10 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     if elsewhere := _elsewhere(seen._replace(ground=body_ground), name, body_from_frame, samples, recorded):
         return elsewhere
     if body_ground.off:
-        # The frame itself is level and its transform tilts it, so the transform is wrong.
-        is_wrong = ground.off and "slanted" not in {body_ground.kind, ground.kind}
-        return _corrected(seen, name, body_from_frame, body_ground, samples, recorded) if is_wrong else None
+        # The transform tilts the frame, so it is wrong.
+        placed = seen if ground.off else seen._replace(ground=body_ground)
+        is_known = "slanted" not in {body_ground.kind, ground.kind}
+        return _corrected(placed, name, body_from_frame, body_ground, samples, recorded) if is_known else None
     tilt = body_from_frame.tilt
     # A transform that tilts the frame says why it is slanted.
     if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
