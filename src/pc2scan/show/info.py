@@ -298,7 +298,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             of_robot = recorded, reader.connections, surveyed.known_ns, clocks.get(topic), surveyed.ups
             lidar = Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot)
             lidars.append(surveyed.on_robot(lidar, warnings))
-            clouds[-1] = replace(cloud, mounting=lidars[-1].mounting)
+            clouds[-1] = replace(cloud, mounting=lidars[-1].mounting._replace(samples=()))
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
             instead := instead_of_clouds(reader.connections)
         ):
@@ -462,14 +462,16 @@ class _SurveyResult:
         placed = self._assumed(lidar, self._robot, body)
         if turned_over(lidar.topic, placed.clouds_in(placed.world)):
             up = 1.0 if own.ground.kind == "upside-down" else -1.0
-            return self._assumed(replace(lidar, mounting=self.mounting(lidar.topic, up)[0] or own), self._robot, body)
+            lidar = replace(lidar, mounting=self.mounting(lidar.topic, up)[0] or own)
+            placed = self._assumed(lidar, self._robot, body, up)
         return placed
 
-    def _assumed(self, lidar: Lidar, robot: RobotTransforms, body: str) -> Lidar:
+    def _assumed(self, lidar: Lidar, robot: RobotTransforms, body: str, up: float = 1.0) -> Lidar:
         own, height = lidar.mounting, lidar.mounting.ground.height * (not lidar.mounting.static_tf)
-        assumed = f"{body} {own.target_frame or own.frame.removeprefix('/')} 0 0 {height:.3g} 0 0 0"
-        added = filter(None, (own.static_tf, assumed))
-        return replace(lidar, buffer=robot.reading.with_static(added), assumed=assumed)
+        roll = "0" if own.static_tf or up > 0 else "3.1416"
+        assumed = f"{body} {own.target_frame or own.frame.removeprefix('/')} 0 0 {height:.3g} {roll} 0 0"
+        buffer = robot.reading.with_static(filter(None, (own.static_tf, assumed)))
+        return replace(lidar, buffer=buffer, assumed=assumed)
 
     def _judged(self, facts: TopicFacts, frame: str, up: float = 0.0) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
