@@ -93,13 +93,17 @@ def local_path(text: str, name: str = "a source") -> str:
     Raises
     ------
     UsageError
-        If the text is empty, or the URL names another machine, has a query or a fragment, or a character that no path
-        can have.
+        If the text is empty, or a URL of no known kind, or the URL names another machine, has a query or a fragment, or
+        a character that no path can have.
     """
     if not text:
         raise UsageError(f"{name} is an empty path", hint="was a variable empty?")
     scheme, _, rest = text.partition(":")
-    if scheme.lower() != "file" or not rest.startswith("/"):
+    is_file = scheme.lower() == "file"
+    if not is_file and rest.startswith("//") and scheme.isalnum() and scheme[1:] and scheme not in LIBRARIES:
+        # What follows may have a password.
+        raise UsageError(f"{name} begins with {scheme}://", hint=f"URLs begin with file, {', '.join(LIBRARIES)}")
+    if not is_file or not rest.startswith("/"):
         return text
     url = urlsplit(text)
     is_here = url.netloc.lower() in {"", "localhost", node().lower()}

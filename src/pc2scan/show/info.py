@@ -299,15 +299,13 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             lidar = Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot)
             lidars.append(surveyed.on_robot(lidar, warnings))
             clouds[-1] = replace(cloud, mounting=lidars[-1].mounting._replace(samples=()))
-        if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics) and (
-            instead := instead_of_clouds(reader.connections)
-        ):
+        instead = instead_of_clouds(reader.connections)
+        if instead and not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics):
             warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         # The proposed command has the frame in which recorded transforms make clouds level.
-        faults = (lidar.mounting for lidar in lidars if lidar.mounting.warning and lidar.mounting.heights)
-        warnings += (own.warning for own in faults if own.static_tf or not own.target_frame)
-        heights = ((lidar.topic, lidar.mounting.heights) for lidar in lidars)
-        warnings += (f"{topic}: {own.doubt}" for topic, own in heights if own and own.doubt)
+        mountings = [lidar.mounting for lidar in lidars if lidar.mounting.heights]
+        warnings += (own.warning for own in mountings if own.warning and (own.static_tf or not own.target_frame))
+        warnings += (f"{own.topic}: {own.heights.doubt}" for own in mountings if own.heights and own.heights.doubt)
         warnings += dict.fromkeys(text for cloud in clouds for text in surveyed.moving_frames(cloud.topic))
         warnings += (text for lidar in lidars for text in time_warnings(lidar.facts, PointTime()))
         warnings += (*filter(None, dict.fromkeys(odometry_doubts(lidars))), *reader.remarks)
