@@ -258,7 +258,7 @@ def _choices(group: Sequence[Lidar], lidars: Sequence[Lidar], given: Mapping[str
     given, times = dict(given), list(_times(group))
     static = {lidar.mounting.static_tf: "makes the clouds level" for lidar in group}
     if any(choice.name == "fixed_frame" for choice in times):
-        static |= {lidar.assumed: "a guess, to correct motion; wrong unless the lidar looks ahead" for lidar in group}
+        static |= {lidar.assumed: "a guess that it looks ahead, by which only motion is corrected" for lidar in group}
     static.pop("", None)
     if static:
         given["static_tf"] = (*given.get("static_tf", ()), *static)
