@@ -708,13 +708,13 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
     turned, off = _angle(matrix[2, 2]), abs(seen.height - height)
     is_missed = height > ONE_FLOOR and (seen.off or off >= NEAR_MOUNT * height)
     near = max(0.01 + 0.03 * height, _NEARER * off if seen.height else 0.0)
-    is_level = seen.up is not None and not seen.off and seen.tilt < _LEVEL_BESIDE * turned
     for way in (matrix, matrix * (1.0, -1.0, -1.0)) if turned > _LEAST_TILT or is_missed else ():
         own = find_ground(points @ way)
         if own.kind != "level" or not own.height:
             continue
         x, y, z = (way @ np.array(own.normal)).tolist()
         floor = Ground("tilted", (x, y, z), own.height)
+        is_level = seen.up is not None and not seen.off and seen.tilt < _LEVEL_BESIDE * turned
         is_tilted = way is matrix and _LEAST_TILT < turned < math.pi - _LEAST_TILT and not is_level
         # What is also much nearer, or farther away, than the transform says is another plane.
         is_tilted &= height <= ONE_FLOOR or abs(own.height - height) < NEAR_MOUNT * max(1.0, own.height)

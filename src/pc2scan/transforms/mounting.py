@@ -192,14 +192,14 @@ def mounting(
     samples = [cloud.points for cloud in clouds]
     seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
     if (transform := clouds[0].transform) is not None:
-        moved = None if buffer is None else _lookup(buffer, judged_in, frame, stamp_ns)
         recorded = _recorded_floor(buffer, judged_in, stamp_ns)
         if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
             return elsewhere
-        if seen.ground.off and seen.ground.kind != "slanted" and moved is not None:
+        fault, kind = _fault(seen.ground) if seen.ground.off else "", seen.ground.kind
+        if buffer and fault and kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
             return _corrected(seen, judged_in, moved, seen.ground, samples, recorded)
         heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
-        return seen._replace(fault=_fault(seen.ground), heights=heights)
+        return seen._replace(fault=fault, heights=heights)
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
         return by_transforms
     own = _by_clouds(seen)
