@@ -424,9 +424,8 @@ class _SurveyResult:
         for topic, reading in readings.items():
             with suppress(UsageError):
                 self.ups[topic] = reading.up()
-        tolerance_ns = ProjectionParams().tolerance_ns
         buffer = self.buffer if moved else None
-        self.places = Placer(target_frame, survey.frames.source_frame, buffer, tolerance_ns)
+        self.places = Placer(target_frame, survey.frames.source_frame, buffer, ProjectionParams().tolerance_ns)
 
     def mounting(self, topic: str, up: float = 0.0) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.

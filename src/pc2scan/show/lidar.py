@@ -23,7 +23,7 @@ from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
 from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.percentiles import median, percentiles
+from pc2scan.core.percentiles import median, median_low, percentiles
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import are_ground, have_moved, sectors_of, thin_points
@@ -208,9 +208,8 @@ class Lidar:
     def duration(self) -> float:
         """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
         times = self.facts.values(_TIMES)
-        if not times or self.is_registered or any(time_warnings(self.facts, PointTime())):
-            return 0.0
-        return median([timing.high - timing.low for timing in times])
+        is_unknown = not times or self.is_registered or any(time_warnings(self.facts, PointTime()))
+        return 0.0 if is_unknown else median([timing.high - timing.low for timing in times])
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -244,10 +243,13 @@ class Lidar:
         masks = self.facts.values(_DIRECTIONS)
         if len(masks) < _SEVERAL or self.covered >= _PART * reduce(or_, masks).bit_count() / DIRECTIONS:
             return 0.0
-        steps = np.remainder(np.diff([_middle(mask) for mask in masks]) + math.pi, math.tau) - math.pi
+        packets = zip(masks, (header.stamp_ns for header in self.facts.headers), strict=False)
+        # Packets without returns may be missing between two; few directions do not show the middle of one.
+        whole = [(_middle(mask), at_ns) for mask, at_ns in packets if 2 * mask.bit_count() >= self.covered * DIRECTIONS]
+        steps, waits_ns = np.diff(whole, axis=0).T
+        steps = np.remainder(steps[waits_ns <= 1.5 * median(waits_ns)] + math.pi, math.tau) - math.pi
         # Directions are known by sectors, so single steps are off by one.
-        alike = steps[np.abs(steps - median(steps)) < 1.5 * _STEP]
-        step = float(alike.mean()) if alike.size else 0.0
+        step = float(steps[np.abs(steps - median_low(steps)) < 1.5 * _STEP].mean())
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
             return 0.0
