@@ -203,14 +203,13 @@ def mounting(
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
         return by_transforms
     own = _by_clouds(seen)
-    if own.static_tf or not (up < 0 or own.ground.height or own.ground.ceiling):
+    is_seen = bool(own.ground.height or own.ground.ceiling)
+    if own.static_tf or not (up < 0 or (not up and is_seen and _may_be_ceiling(own.ground, samples))):
         return own
     over = _by_clouds(seen._replace(ground=_ground_above(samples)))
-    hangs = not up and _may_be_ceiling(own.ground, samples)
-    is_over = up < 0 or (hangs and not 0 < own.ground.height <= _HIGHEST)
-    if over.ground.height and is_over and (up < 0 or over.ground.height <= _HIGHEST):
+    if over.ground.height and (up or (over.ground.height <= _HIGHEST and not 0 < own.ground.height <= _HIGHEST)):
         own, over = over, own
-    return own if up or not hangs else own._replace(heights=_doubted(own, over))
+    return own if up else own._replace(heights=_doubted(own, over))
 
 
 def _by_clouds(seen: Mounting) -> Mounting:
