@@ -88,8 +88,8 @@ class Header(NamedTuple):
 
     Attributes
     ----------
-    log_time_ns, stamp_ns, delay_ns, frame_id
-        Its times, from the stamp to the log time, and its frame.
+    log_time_ns, stamp_ns, frame_id
+        Its times and its frame.
     fields
         The names of the cloud's fields; empty for a LaserScan.
     increment
@@ -100,11 +100,15 @@ class Header(NamedTuple):
 
     log_time_ns: int
     stamp_ns: int
-    delay_ns: int
     frame_id: str
     fields: tuple[str, ...] = ()
     increment: float | None = None
     turn: float = 0.0
+
+    @property
+    def delay_ns(self) -> int:
+        """The time from the stamp to the log time."""
+        return self.log_time_ns - self.stamp_ns
 
 
 class TopicFacts:
@@ -238,12 +242,11 @@ class TopicFacts:
         connection, time_ns = message.connection, message.log_time_ns
         if connection.id in self._decoders:
             points = self._points(message)
-            stamp_ns = points.stamp_ns
-            return Header(time_ns, stamp_ns, time_ns - stamp_ns, points.frame_id, tuple(points.fields))
+            return Header(time_ns, points.stamp_ns, points.frame_id, tuple(points.fields))
         scan = SCANS[connection.ros_type](connection.serialization, "first")(message.data)
         increment = abs(scan.angle_increment)
         turn = abs(scan.time_increment) * TURN / increment if increment else 0.0
-        return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment, turn=turn)
+        return Header(time_ns, scan.stamp_ns, scan.frame_id, increment=increment, turn=turn)
 
 
 class Survey:

@@ -167,8 +167,7 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
     """
     frames = frames_of(options)
     with ExitStack() as stack:
-        readers = open_recordings(sources, stack)
-        reader = as_one(readers)
+        reader = as_one(open_recordings(sources, stack))
         try:
             chosen = scan_connections(reader, options.topics)
         except TopicError as err:

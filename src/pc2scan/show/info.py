@@ -10,14 +10,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
-from pc2scan.advice.clocks import Clocks
+from pc2scan.advice.clocks import Clocks, measure_offsets
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.odometry import turned_over
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
-from pc2scan.conversion.corrections import corrected, scaled
+from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
@@ -271,15 +271,18 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         surveyed_by = partial(_SurveyResult, shown, samples, recorded, options.target_frame)
         others, span = open_recordings(frames.tf_from, stack), Span(None, None, start_ns or 0)
         first = surveyed = surveyed_by(Survey(reader, others, frames, span))
-        if clocks := first.clocks:
-            # Only by corrected stamps is it known where the robot was.
-            offsets = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()])
-            reader, _ = corrected(reader, [], offsets, frames.tf_topics)
-        if is_scaled := options.cloud_scale == 1 and 0 < len(first.clouds) == len(first.unit_warnings):
+        if options.cloud_scale == 1 and 0 < len(first.clouds) == len(first.unit_warnings):
             # Cameras and lidars count in millimetres; the warning has the other reading.
             reader, given = scaled(reader, 0.001), {**given, "cloud_scale": 0.001}
-        if (clocks and first.buffer is not None) or is_scaled:
             surveyed = surveyed_by(Survey(reader, others, frames, span))
+        clocks = surveyed.clocks
+        # Only by corrected stamps is it known where the robot was.
+        known = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()]).by_topic
+        for topic, known_ns in known.items():
+            facts = surveyed.facts[topic]
+            fits = {} if known_ns else measure_offsets(reader, {topic: facts.connections}, frames.tf_topics, span)
+            for values in (surveyed.clouds[topic], *(observer.values for observer in facts.observers)):
+                values[:] = [_moved(value, known_ns or fits[topic].offset_ns) for value in values]
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
         warnings += (*first.unit_warnings, *surveyed.warnings)
         clouds: list[CloudInfo] = []
@@ -485,6 +488,12 @@ class _SurveyResult:
             yield moving.of_target(target)
         if source and (moving := find_body_motion(self.buffer, source, own)) is not None:
             yield f"{topic}: {moving.of_source(source, own.removeprefix('/'))}"
+
+
+def _moved(value: Any, offset_ns: int) -> Any:
+    """Return what is known of a message with a later stamp, if it has one."""
+    change = getattr(value, "_replace", partial(replace, value))
+    return change(stamp_ns=value.stamp_ns + offset_ns) if hasattr(value, "stamp_ns") else value
 
 
 def _file_info(reader: Reader) -> FileInfo:

@@ -152,8 +152,7 @@ class Map(Result):
         pixels = np.select([self.cells == OCCUPIED, self.cells == FREE], [_OCCUPIED, _FREE], _UNKNOWN).astype(np.uint8)
         places = np.floor((self.trajectory - self.origin[:2]) / self.resolution)
         inside = ((places >= 0) & (places < (self.width, self.height))).all(axis=1)
-        columns, rows = places[inside].astype(int).T
-        pixels[rows, columns] = _ROBOT
+        pixels[tuple(places[inside].astype(int).T[::-1])] = _ROBOT
         enlarged = max(1, min(_LARGEST_CELL, _SIDE // max(pixels.shape)))
         return _png(pixels[::-1].repeat(enlarged, axis=0).repeat(enlarged, axis=1))
 

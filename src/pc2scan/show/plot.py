@@ -96,14 +96,12 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         limits = [_limits(values) for values in zip(*placed, strict=True)]
         across, *heights = (high - low for low, high in limits)
         inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
-        size = (_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND
-        figure = Figure(size, layout="constrained", dpi=150)
+        figure = Figure(((_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND), layout="constrained", dpi=150)
         figure.suptitle(visible(title), fontsize=11)
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
         for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
             _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
-        legends = [axis.get_legend_handles_labels() for axis in axes[0]]
-        named = {name: handle for own in legends for handle, name in zip(*own, strict=True)}
+        named = {name: line for axis in axes[0] for line, name in zip(*axis.get_legend_handles_labels(), strict=True)}
         style: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8, "frameon": False, "markerscale": 3}
         figure.legend(list(named.values()), list(named), ncols=4 if columns > 1 else 2, **style)
         file = io.BytesIO()

@@ -319,8 +319,7 @@ def take_shots(recording: PictureSource, *, level: bool, keep: Callable[[Shot], 
         warnings.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
     measured = next(filter(None, map(conversion.measurements.get, topics)), Measurements(0.0))
     resolved, damage = measured.resolve(conversion.spec.params), damage_of(reader, *prepared.others)
-    transforms = prepared.recorded and prepared.recorded.buffer
-    return Shots(shots, resolved, transforms, prepared.notes, warnings, damage)
+    return Shots(shots, resolved, prepared.recorded and prepared.recorded.buffer, prepared.notes, warnings, damage)
 
 
 def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples: list[CloudSample]) -> Shot:

@@ -576,9 +576,8 @@ def describe_clouds(topic: str, sampled: list[ShownCloud | str], places: Placer)
     places
         The frame of scans.
     """
-    count = len(sampled)
+    count, clouds = len(sampled), list[ShownCloud]()
     problems: dict[str, None] = {}
-    clouds: list[ShownCloud] = []
     while sampled:
         cloud = sampled.pop(0)
         if isinstance(cloud, str):
