@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 #: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
 _ABOVE_ROBOT = 0.5
 
-
 _Value = TypeVar("_Value")
 
 

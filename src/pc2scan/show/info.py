@@ -278,10 +278,10 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         clocks = surveyed.clocks
         # Only by corrected stamps is it known where the robot was.
         known = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()]).by_topic
+        unknown = {topic: surveyed.facts[topic].connections for topic, known_ns in known.items() if not known_ns}
+        fits = measure_offsets(reader, unknown, frames.tf_topics, span) if unknown else {}
         for topic, known_ns in known.items():
-            facts = surveyed.facts[topic]
-            fits = {} if known_ns else measure_offsets(reader, {topic: facts.connections}, frames.tf_topics, span)
-            for values in (surveyed.clouds[topic], *(observer.values for observer in facts.observers)):
+            for values in (surveyed.clouds[topic], *(observer.values for observer in surveyed.facts[topic].observers)):
                 values[:] = [_moved(value, known_ns or fits[topic].offset_ns) for value in values]
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
         warnings += (*first.unit_warnings, *surveyed.warnings)
