@@ -185,11 +185,11 @@ def _floor_like(cells: Cells) -> NDArray[np.bool_]:
         low, where = cells.height[ring], cells.distance[ring]
         known = np.isfinite(low)
         apart = distance - where
-        followed = known & (apart > 0.2 + 0.1 * where) & (apart < _APART)
-        followed &= np.abs(height - low) < _NOISE + 0.2 * apart
+        most = np.where(apart < _APART, _NOISE + 0.2 * apart, 0)
+        followed = known & (apart > 0.2 + 0.1 * where) & (np.abs(height - low) < most)
         floor[ring] = followed
-        # Cells of a wall are close together, so the cell to compare with is used until one is far enough behind it.
-        renewed = known & (followed | (low < height))
+        # Cells of a wall are close together, so the cell to compare with is used until one is far enough from it.
+        renewed = known & (followed | (low < height - most))
         height, distance = np.where(renewed, low, height), np.where(renewed, where, distance)
     return floor & _has_neighbour_beside(cells, 1) & _has_neighbour_beside(cells, -1)
 
