@@ -233,7 +233,7 @@ def driven_through_posts(step: float, said: float | None, *, has_body: bool) -> 
     """Poses of a robot among posts, as odometry says, and its clouds; the corners of its frame may be in view."""
     random = np.random.default_rng(3)
     posts = random.uniform(-30, 30, (400, 2))
-    frame = np.array([(x, y) for x in (-0.45, 0.45) for y in (-0.25, 0.25)])
+    frame = np.array([(x, y) for x in (-0.35, 0.35) for y in (-0.25, 0.25)])
     for number in range(10):
         seen = posts - [step * number, 0.0]
         seen = seen[np.hypot(*seen.T) > 1.0]
@@ -245,10 +245,10 @@ def driven_through_posts(step: float, said: float | None, *, has_body: bool) -> 
 @pytest.mark.parametrize("has_body", [True, False])
 @pytest.mark.parametrize(
     ("step", "said", "shows"),
-    # What stands beside a robot that stands still may be anything, whatever its odometry says.
-    [(2.0, None, True), (2.0, 2.0, True), (0.1, 0.1, True), (0.02, None, False), (0.0, None, False), (0.0, 0.1, False)],
+    # What is beside a robot that stands still may be anything, whatever its odometry says.
+    [(2.0, None, False), (2.0, 2.0, True), (0.1, 0.1, True), (0.0, None, False), (0.0, 0.1, False)],
 )
 def test_the_body_is_what_stays(step: float, said: float | None, *, shows: bool, has_body: bool) -> None:
     box = body_of(driven_through_posts(step, said, has_body=has_body), np.zeros(3), 0.1, 1.5)
-    # The cells of the corners, and 5 cm.
-    assert box == ([-0.55, 0.55, -0.35, 0.35, 0.0, 1.6] if shows and has_body else ())
+    # The cells of the corners, and 5 cm; they are so close that it is asked whether they are the body.
+    assert box == (([-0.45, 0.45, -0.35, 0.35, 0.0, 1.6], shows) if has_body else ((), False))

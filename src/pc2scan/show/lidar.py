@@ -110,12 +110,13 @@ def stamp_faults(facts: TopicFacts) -> list[str]:
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32]:
-    """Return copies of the coordinates of a small cloud, (3, N); none of a large one, and of the grid of a camera."""
+    """Return copies of the returns of a small cloud, (3, N); none of a large one, and of the grid of a camera."""
     xyz = points.xyz()
     if xyz[0].size > _SPARSE or xyz[0].ndim > 1:
         return np.empty((3, 0), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+        columns = np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+    return columns[:, np.isfinite(columns).all(axis=0) & columns.any(axis=0)]
 
 
 def _are_many(clouds: Sequence[NDArray[np.float32]]) -> bool:
@@ -292,7 +293,7 @@ class Lidar:
             if place is not None:
                 # All are seen from the place of the first one.
                 back = back if views else place.inverse()
-                points = self.in_target(xyz[:, np.isfinite(xyz).all(axis=0) & xyz.any(axis=0)], own, stamp_ns)
+                points = self.in_target(xyz, own, stamp_ns)
                 inside = (points[:, 2] >= heights.low) & (points[:, 2] <= heights.high)
                 views.append(_view(back.compose(place).apply(points), inside))
         best, most = (0.0, (1, 1)), min(len(views) // 2, round(_LONGEST / self.period))
@@ -313,12 +314,9 @@ class Lidar:
     @property
     def placed(self) -> Iterator[tuple[Rigid | None, NDArray[np.float64]]]:
         """The transform from the frame of the scans to one that does not move, and the points of the spread clouds."""
-        # What stays for a short time may be what the robot stands beside.
-        is_long = (self.recorded.end_ns or 0) - (self.recorded.start_ns or 0) >= 5 * EDGE_NS
         for stamp_ns, points in self.clouds:
             place = self.transform(self.world, self.target or self.mounting.frame, stamp_ns)
-            if place is not None or is_long:
-                yield place, self.in_target(points, stamp_ns=stamp_ns)
+            yield place, self.in_target(points, stamp_ns=stamp_ns)
 
     @property
     def sensor(self) -> NDArray[np.float64]:
@@ -326,9 +324,9 @@ class Lidar:
         return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
 
     @property
-    def merges(self) -> bool:
-        """Whether several clouds become one scan."""
-        return bool(self.turn or self.pattern[0] > 1)
+    def merges(self) -> int:
+        """How many clouds become one scan."""
+        return round(self.turn / self.period) if self.turn else self.pattern[0]
 
     def tried_clouds(self, *, is_placed: bool) -> list[Points]:
         """Return clouds to try a command on, with stamps of their middles: the first ones if they are parts.
@@ -339,7 +337,7 @@ class Lidar:
         frame = own.frame if self.parts or self.is_registered else own.judged_in
         if self.parts:
             stamped = list(zip((header.stamp_ns for header in self.facts.headers), self.parts, strict=False))
-            most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
+            most = len(stamped) if self.merges > 1 else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
         clouds = []
         for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
             thinned = recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1]
@@ -378,7 +376,7 @@ def _middle(directions: int) -> float:
 
 def _are_of_camera(clouds: Sequence[NDArray[np.float32]]) -> bool:
     """Whether clouds, each (3, N), are of a camera, whose pixels are in few rows and columns; also without points."""
-    x, y, z = np.concatenate([xyz[:, np.isfinite(xyz).all(axis=0)] for xyz in clouds], axis=1)[:, :_PIXELS]
+    x, y, z = np.concatenate(clouds, axis=1)[:, :_PIXELS]
     with np.errstate(all="ignore"):
         of_axes = (np.round(one / other, 4) for one, other in ((x, z), (y, z), (y, x), (z, x)))
         return any(_A_ROW * np.unique(places).size <= places.size for places in of_axes)
@@ -515,14 +513,15 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         # What a robot that moves sees of a place, from all of them.
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
-    seen = [np.concatenate(placed)] if lidar.merges or ways else placed
+    seen = [np.concatenate(placed)] if lidar.merges > 1 or ways else placed
     # From a floor that is not known, nothing rises.
-    low = math.inf if heights is None or heights.floor is None else params.min_height
-    lies = [are_ground(xyz, low, lidar.mounting.ground.height) for xyz in seen]
+    floor = None if heights is None else heights.floor
+    low = math.inf if floor is None else params.min_height
+    lies = [are_ground(xyz, low, lidar.sensor[2] - (floor or 0.0)) for xyz in seen]
     slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, lies, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
-    marked = []
-    for cloud, stands in list(zip(clouds, parts, strict=True))[:: 1 if lidar.merges else -(-len(clouds) // _CLOUDS)]:
+    marked, every = [], 1 if lidar.merges > 1 else -(-len(clouds) // _CLOUDS)
+    for cloud, stands in list(zip(clouds, parts, strict=True))[::every]:
         marked.append(replace(cloud, points=cloud.points.replace({_STANDS: stands}, cloud.points.frame_id)))
     return Scene(marked, placer, samples, slopes)
 
@@ -569,6 +568,6 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-    merged = read.min(axis=0, keepdims=True) if lidar.merges else read
+    merged = np.minimum.reduceat(read, np.arange(0, len(read), lidar.merges))
     is_blurred = lidar.pattern[0] > 1 and not lidar.world and have_moved(read[:, 0], _OFF)
     return Trial(merged, (_BLURRED,) if is_blurred else ()), counts

@@ -59,10 +59,9 @@ _REACHES, _BELOW = 20.0, 0.2
 
 #: Cells of the robot's own body, metres; in how many clouds, and what share of them, the same cells have returns.
 _CELL, _FEWEST_CLOUDS, _PERSIST = 0.1, 5, 0.9
-#: Robots stand if more than this share of larger cells, metres, have returns in as many clouds; without odometry, they
-#: move only if so few have, but for the nearest ones. How many cells, small or large, are between the origin and the
-#: farthest one, and the farthest of the nearest.
-_STANDS, _MOVES, _LARGE, _CELLS, _OWN = 0.5, 0.05, 0.5, 20, 2
+#: Robots stand if more than this share of larger cells, metres, have returns in as many clouds. How many cells are
+#: between the origin and the farthest one. What is closer to a sensor, metres, is probably its robot.
+_STANDS, _LARGE, _CELLS, _CLOSE = 0.5, 0.5, 20, 0.5
 #: What does not move is left behind if its place is so many cells from all that stay, and what is seen in its direction
 #: is so far away from it, metres. How many directions there are.
 _AWAY, _LEFT, _DIRECTIONS = 3, 0.3, 360
@@ -74,7 +73,7 @@ _CUT_NS, _SOON_NS = 10_000_000, 20_000_000
 
 def body_of(
     clouds: Iterable[tuple[Rigid | None, NDArray[np.float64]]], sensor: NDArray[np.float64], low: float, high: float
-) -> Sequence[float]:
+) -> tuple[Sequence[float], bool]:
     """Return the limits of x, y and z of returns of the robot's own body; empty if nothing tells these apart.
 
     The body has returns at the same places in all clouds. Where it was in the world, other clouds see what is farther
@@ -86,12 +85,17 @@ def body_of(
         The transforms to a frame that does not move, if they are known, and the points, (N, 3), of `Lidar.placed`.
     sensor, low, high
         The position of the sensor, and the heights of the scans.
+
+    Returns
+    -------
+    The limits, and whether it is certain: without evidence, what stays close to the sensor is probably the body.
     """
     # In how many clouds each cell has returns.
     small, large = np.zeros((2, 2 * _CELLS + 1, 2 * _CELLS + 1), np.intp)
     views: list[tuple[Rigid | None, NDArray[np.float64]]] = []
     for place, points in clouds:
-        good = points[(points[:, 2] >= low) & (points[:, 2] <= high)]
+        # What is lower may be grass.
+        good = points[(points[:, 2] >= low + _CELL) & (points[:, 2] <= high)]
         for counts, size in (small, _CELL), (large, _LARGE):
             cells = np.floor(good[np.abs(good).max(axis=1, initial=0.0) < _CELLS * size, :2] / size).astype(np.intp)
             counts[tuple(np.unique(cells, axis=0).T + _CELLS)] += 1
@@ -101,34 +105,29 @@ def body_of(
         views.append((place, np.minimum.reduce([np.roll(view, step) for step in (-1, 0, 1)])))
         # Not held while the next one is transformed.
         del points, good
-    # The nearest ones may be the robot's own.
-    large[_CELLS - _OWN : _CELLS + _OWN, _CELLS - _OWN : _CELLS + _OWN] = 0
-    stays, beyond = (counts >= _PERSIST * len(views) for counts in (small, large))
-    standing = beyond.sum() / max(np.count_nonzero(large), 1)
-    if len(views) < _FEWEST_CLOUDS or standing > _STANDS:
-        return ()
+    stays, large_stays = (counts >= _PERSIST * len(views) for counts in (small, large))
+    moves = large_stays.sum() <= _STANDS * np.count_nonzero(large)
     cells = np.argwhere(stays) - _CELLS
     body = np.insert((cells + 0.5) * _CELL, 2, low, axis=1)
     own_ranges, _ = _polar(body - sensor)
     near = np.logical_or.reduce([np.roll(stays, step, (0, 1)) for step in product(range(-_AWAY, _AWAY + 1), repeat=2)])
-    free, farther, again = np.zeros((3, len(cells)), np.intp)
+    free, again = np.zeros((2, len(cells)), np.intp)
     for (now, _), (then, view) in product(views, views):
         if now is not None and then is not None:
             moved = then.inverse().apply(now.apply(body))
             is_off = ~near[tuple((np.floor(moved[:, :2] / _CELL).astype(np.intp) + _CELLS).clip(0, 2 * _CELLS).T)]
             ranges, direction = _polar(moved - sensor)
             behind = view[direction] - ranges
-            is_free = is_off & (behind > _LEFT)
             # What is nearer may be too high or too low for the sensor.
-            free, farther = free + is_free, farther + (is_free & (ranges >= own_ranges))
+            free += is_off & (behind > _LEFT) & (ranges >= own_ranges)
             again += is_off & (np.abs(behind) <= _LEFT)
-    if standing > _MOVES or any(place is not None for place, _ in views):
-        is_left, is_certain = (counts * (1 - _PERSIST) > again * _PERSIST for counts in (free, farther))
-        cells = cells[is_left & is_certain.any()]
-    if not cells.size:
-        return ()
+    is_left = free * (1 - _PERSIST) > again * _PERSIST
+    sure = bool(moves and is_left.any())
+    cells = cells[is_left if sure else (own_ranges < _CLOSE) & (again <= free)]
+    if len(views) < _FEWEST_CLOUDS or not cells.size:
+        return (), False
     (x0, y0), (x1, y1) = cells.min(axis=0) * _CELL - 0.05, (cells.max(axis=0) + 1) * _CELL + 0.05
-    return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)]
+    return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)], sure
 
 
 def _polar(places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
@@ -211,8 +210,10 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
 def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float], why: str) -> Iterator[list[Choice]]:
     """Yield options of which one may end the returns on the ground, which rises so much, or on grass."""
     low, high = options["min_height"], options["max_height"]
-    yield [Choice("ground", "remove", why)]
-    yield from ([Choice("min_height", float(f"{low + by:.2f}"), why)] for by in _HIGHER if low + by + _THIN <= high)
+    ground = Choice("ground", "remove", why)
+    limits = [Choice("min_height", float(f"{low + by:.2f}"), why) for by in _HIGHER if low + by + _THIN <= high]
+    # Grass on it is higher.
+    yield from ([ground], [ground, *limits[:1]], *([limit] for limit in limits))
     # If the robot tilts, other clouds have steeper ground.
     if max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
@@ -402,13 +403,16 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the boxes around the robot's own body, and around the origins of lidars that write zeros for no return."""
     lidar = group[0]
     boxes: dict[str, str] = {}
-    if (heights := lidar.mounting.heights) is not None:
-        for body in filter(None, (body_of(lidar.placed, lidar.sensor, heights.low, heights.high) for lidar in group)):
-            box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))
-            boxes[box] = "returns of the robot's own body"
     # The preset rejects points at the origin of the scans' own frame.
     origins = (sensor_exclusion(member.mounting.frame, lidar.target) for member in group if member.has_zeros)
     boxes |= {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
+    for member in group:
+        limits = lidar.mounting.heights
+        body, sure = body_of(member.placed, member.sensor, limits.low, limits.high) if limits else ((), False)
+        if body:
+            box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))
+            close = f"what stays within {_CLOSE:g} m of the lidar: is it the robot's own body?"
+            boxes[box] = "returns of the robot's own body" if sure else close
     if boxes:
         value = tuple(boxes)
         yield Choice("exclude_box", value if value[1:] else value[0], ", ".join(dict.fromkeys(boxes.values())))
