@@ -630,45 +630,33 @@ def _refine(
     )
 
 
-class _FieldOfView:
-    """The directions that a sensor sees, in cells of about 10 by 5 degrees, and where it had no return.
+def _missing(points: _Points, up: _Direction, low: float, high: float) -> float:
+    """Return the share of the directions between two elevations (as sines) without a return; NaN of too few.
 
-    A direction is seen if the sensor has a return at that azimuth, and at that elevation in some other.
+    They are cells of about 10 by 5 degrees. The sensor sees those where it has a return at that azimuth, and at that
+    elevation in some other.
     """
-
-    _COLUMNS = 36
-
-    def __init__(self, points: _Points) -> None:
-        azimuth = np.arctan2(points[:, 1], points[:, 0])
-        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-        low, high = percentiles(elevation, 0.5, 99.5)
-        columns, rows = self._COLUMNS, int(min(18, max(1, round(math.degrees(high - low) / 5))))
-        row = np.floor((elevation - low) / max(high - low, 1e-9) * rows).astype(np.intp)
-        column = np.floor((azimuth + math.pi) / math.tau * columns).astype(np.intp) % columns
-        inside = (row >= 0) & (row < rows)
-        counts = np.bincount(row[inside] * columns + column[inside], minlength=rows * columns).reshape(rows, columns)
-        seen = counts.any(axis=0)
-        tilt = (low + (np.arange(rows) + 0.5) * (high - low) / rows)[:, None]
-        angle = (np.arange(columns)[seen] + 0.5) * (math.tau / columns) - math.pi
-        self._directions = np.stack(
-            np.broadcast_arrays(np.cos(tilt) * np.cos(angle), np.cos(tilt) * np.sin(angle), np.sin(tilt)), axis=-1
-        ).reshape(-1, 3)
-        self._weights = np.broadcast_to(np.cos(tilt), (rows, len(angle))).ravel()
-        self._empty = (counts[:, seen] == 0).ravel()
-
-    def missing(self, up: _Direction, low: float, high: float) -> float:
-        """Return the share of the directions between two elevations (as sines) without a return; NaN of too few."""
-        sines = self._directions @ np.array(up)
-        chosen = (sines > low) & (sines < high)
-        if chosen.sum() < 8:
-            return math.nan
-        return float((self._empty * self._weights)[chosen].sum() / self._weights[chosen].sum())
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    lowest, highest = percentiles(elevation, 0.5, 99.5)
+    columns, rows = 36, int(min(18, max(1, round(math.degrees(highest - lowest) / 5))))
+    row = np.floor((elevation - lowest) / max(highest - lowest, 1e-9) * rows).astype(np.intp)
+    column = np.floor((azimuth + math.pi) / math.tau * columns).astype(np.intp) % columns
+    inside = (row >= 0) & (row < rows)
+    counts = np.bincount(row[inside] * columns + column[inside], minlength=rows * columns).reshape(rows, columns)
+    seen = counts.any(axis=0)
+    tilt = (lowest + (np.arange(rows) + 0.5) * (highest - lowest) / rows)[:, None]
+    angle = (np.arange(columns)[seen] + 0.5) * (math.tau / columns) - math.pi
+    sines = np.cos(tilt) * (np.cos(angle) * up[0] + np.sin(angle) * up[1]) + np.sin(tilt) * up[2]
+    chosen = (sines > low) & (sines < high)
+    weights = np.where(chosen, np.cos(tilt), 0.0)
+    return float(weights[counts[:, seen] == 0].sum() / weights.sum()) if chosen.sum() >= 8 else math.nan
 
 
 def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Ground:
     """Return which of a cloud's planes is the ground."""
     cells = cells_of(points)
-    planes, view = planes_of(cells), _FieldOfView(points)
+    planes = planes_of(cells)
     least = _CLEAR * float(tolerances(cells).min())
     level = [
         plane
@@ -680,14 +668,14 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
     if level:
         lowest = [plane for plane in level if plane.beyond < max(_MOST_BELOW, _BESIDE * plane.share)]
         floor = max(lowest or level, key=lambda plane: plane.share)
-        if level_needs_proof and _is_doubtful(floor, planes, view, upside_down=False):
+        if level_needs_proof and _is_doubtful(floor, planes, points, upside_down=False):
             return Ground("unknown")
         # Something level with much behind it shows how the frame is mounted, but is no floor.
         return _ground_of("level", floor, planes) if lowest else Ground("level")
     for plane in planes:
-        upside_down = plane.tilt >= math.pi - _STEEPEST
-        if (upside_down or plane.tilt <= _STEEPEST) and not _is_doubtful(plane, planes, view, upside_down=upside_down):
-            return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
+        over = plane.tilt >= math.pi - _STEEPEST
+        if (over or plane.tilt <= _STEEPEST) and not _is_doubtful(plane, planes, points, upside_down=over):
+            return _ground_of("upside-down" if over else "tilted", plane, planes)
     return _slanted(planes)
 
 
@@ -695,8 +683,8 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
     """Return the ground if the transform of a sensor turns it wrongly; None if nothing says so.
 
     The floor is level in the sensor's own frame, and the transform tilts it. Or it is not as far away as the transform
-    says, and another plane is: below the sensor or above it in its own frame, or anywhere, if it is large. What is at
-    the side may also be a wall beside a level sensor that sees no floor.
+    says, and another plane is: below the sensor or above it in its own frame, or anywhere, if it is large. Of several,
+    the transform is least wrong by the floor. What is at the side may also be a wall beside a level sensor.
 
     Parameters
     ----------
@@ -708,7 +696,9 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
     turned, off = _angle(matrix[2, 2]), abs(seen.height - height)
     is_missed = height > ONE_FLOOR and (seen.off or off >= NEAR_MOUNT * height)
     near = max(0.01 + 0.03 * height, _NEARER * off if seen.height else 0.0)
-    for way in (matrix, matrix * (1.0, -1.0, -1.0)) if turned > _LEAST_TILT or is_missed else ():
+    floors: list[Ground] = []
+    ways = (matrix, matrix * (1.0, -1.0, -1.0)) if is_missed else (matrix,) if turned > _LEAST_TILT else ()
+    for way in ways:
         own = find_ground(points @ way)
         if own.kind != "level" or not own.height:
             continue
@@ -718,20 +708,24 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
         is_tilted = way is matrix and _LEAST_TILT < turned < math.pi - _LEAST_TILT and not is_level
         # What is also much nearer, or farther away, than the transform says is another plane.
         is_tilted &= height <= ONE_FLOOR or abs(own.height - height) < NEAR_MOUNT * max(1.0, own.height)
-        if is_tilted and own.up and max(own.tilt, abs(floor.tilt - turned)) < _LEVEL_BESIDE * turned:
-            return floor
-        if is_missed and floor.tilt > LEVEL and abs(own.height - height) < near:
-            return floor
-    if not is_missed or len(points) < FEWEST_POINTS:
+        is_tilted &= own.up is not None and max(own.tilt, abs(floor.tilt - turned)) < _LEVEL_BESIDE * turned
+        if is_tilted or (is_missed and floor.tilt > LEVEL and abs(own.height - height) < near):
+            floors.append(floor)
+    if is_missed and len(points) >= FEWEST_POINTS:
+        planes = planes_of(cells_of(points))
+        for plane in planes:
+            is_large = plane.tilt > LEVEL and plane.share > _LARGE and plane.beyond < _FEW_BEHIND
+            if is_large and abs(plane.height - height) < near:
+                is_steep = _STEEPEST < plane.tilt < math.pi - _STEEPEST
+                if not (is_steep and _is_doubtful(plane, planes, points, upside_down=False)):
+                    floors.append(Ground("tilted", plane.up, plane.height))
+    if not floors:
         return None
-    planes, view = planes_of(cells_of(points)), _FieldOfView(points)
-    for plane in planes:
-        is_large = plane.tilt > LEVEL and plane.share > _LARGE and plane.beyond < _FEW_BEHIND
-        if is_large and abs(plane.height - height) < near:
-            is_steep = _STEEPEST < plane.tilt < math.pi - _STEEPEST
-            if not (is_steep and _is_doubtful(plane, planes, view, upside_down=False)):
-                return Ground("tilted", plane.up, plane.height)
-    return None
+    floor = min(floors, key=lambda floor: floor.tilt)
+    on_it = np.abs(points @ np.array(floor.normal) + floor.height) < tolerances(points)
+    there = np.abs(points[:, 2] + height) < tolerances(points)
+    # What is seen where the transform says is the floor.
+    return floor if there.sum() <= max(_LARGE_FLOOR * len(points), on_it.sum()) else None
 
 
 def _slanted(planes: Sequence[Plane]) -> Ground:
@@ -764,12 +758,12 @@ def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
     return next((other for other in planes if _angle_between(plane, other) > 172 and other.beyond < 0.05), None)
 
 
-def _is_doubtful(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> bool:
+def _is_doubtful(plane: Plane, planes: Sequence[Plane], points: _Points, *, upside_down: bool) -> bool:
     """Return whether a plane may be something other than the ground: whether another explanation fits."""
     # It is small or narrow, or directions that would meet the ground have no return, as beside a wall.
     if plane.share < (0.15 if upside_down else 0.08) or plane.width < max(0.4, plane.height) or plane.beyond > 0.04:
         return True
-    if not view.missing(plane.up, -1.0, -0.2) <= 0.12:
+    if not _missing(points, plane.up, -1.0, -0.2) <= 0.12:
         return True
     for other in planes:
         between = _angle_between(plane, other)
@@ -781,4 +775,4 @@ def _is_doubtful(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, u
     # It may be the ceiling.
     if (ceiling := _opposite_plane(plane, planes)) is not None:
         return upside_down or ceiling.height < 1.75 * plane.height
-    return not view.missing(plane.up, -0.03, 0.1) > 0.3 and plane.height >= (0.7 if upside_down else 1.2)
+    return not _missing(points, plane.up, -0.03, 0.1) > 0.3 and plane.height >= (0.7 if upside_down else 1.2)

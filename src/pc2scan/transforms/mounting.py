@@ -192,7 +192,8 @@ def mounting(
     samples = [cloud.points for cloud in clouds]
     seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
     if (transform := clouds[0].transform) is not None:
-        recorded = _recorded_floor(buffer, judged_in, stamp_ns)
+        if recorded := _recorded_floor(buffer, judged_in, stamp_ns):
+            seen = seen._replace(ground=_believed(samples, origin_z - recorded))
         if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
             return elsewhere
         fault, kind = _fault(seen.ground) if seen.ground.off else "", seen.ground.kind
@@ -275,9 +276,15 @@ def _corrected(
     turned = level.compose(target_from_frame).quaternion
     right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
     moved = [level.apply(points) for points in samples]
-    corrected = common_ground([find_ground(points).believed(points, height - recorded) for points in moved])
-    heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
+    heights = suitable_heights(
+        _believed(moved, height - recorded), moved, frame=target, origin_z=height, recorded=recorded
+    )
     return _mounted_on(seen, target, right, heights)
+
+
+def _believed(samples: _Samples, height: float) -> Ground:
+    """Return the ground in a frame of which a transform says how high the sensor is; see `Ground.believed`."""
+    return common_ground([find_ground(points).believed(points, height) for points in samples])
 
 
 def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
@@ -291,11 +298,11 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
                 return seen._replace(fault=_fault(ground), target_frame=name, heights=heights)
         return None
     name, body_from_frame = body
-    height = float(body_from_frame.translation[2])
-    samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
-    body_ground = common_ground([find_ground(points).believed(points, height) for points in samples])
-    ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
     recorded = _recorded_floor(buffer, name, stamp_ns)
+    height = float(body_from_frame.translation[2]) - recorded
+    samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
+    body_ground = _believed(samples, height)
+    ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
     if elsewhere := _elsewhere(seen._replace(ground=body_ground), name, body_from_frame, samples, recorded):
         return elsewhere
     if body_ground.off:
@@ -307,7 +314,7 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     # A transform that tilts the frame says why it is slanted.
     if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
         return None
-    heights = suitable_heights(body_ground, samples, frame=name, origin_z=height, recorded=recorded)
+    heights = suitable_heights(body_ground, samples, frame=name, origin_z=height + recorded, recorded=recorded)
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
@@ -433,11 +440,6 @@ def suitable_heights(
         The transform to the frame of the heights; None for the samples' frame, in which the sensor is at ``origin_z``.
     frame, recorded
         The robot's frame, if the recording says where the sensor is in it, and the floor in it by the recording.
-
-    Notes
-    -----
-    0.1 to 1.5 m above the floor, or more where the ground is rough, and 0.2 m below what is overhead. Without a floor,
-    around the sensor: what is visible there is no floor.
     """
     points = [points for points in samples if len(points)]
     if not points or far_away(points[0]):
