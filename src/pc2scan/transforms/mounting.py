@@ -321,10 +321,9 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
         how = f"tilted by {math.degrees(tilt):.1f} deg"
         if tilt > math.pi - _NOTABLE_TILT:
             how = "upside down"
-            if body_ground.kind == "level" and body_ground.up is not None:
-                # What seems the floor in the frame itself is the ceiling.
-                x, y, z = (np.array(body_ground.up) @ body_from_frame.matrix).tolist()
-                seen = seen._replace(ground=body_ground._replace(kind="upside-down", up=(x, y, z)))
+            # What seems the floor in the frame itself is the ceiling.
+            x, y, z = (np.array(body_ground.normal) @ body_from_frame.matrix).tolist()
+            seen = seen._replace(ground=body_ground._replace(kind="upside-down", up=(x, y, z)))
         fault = f"{how} according to its transform to {name!r}; expected z up"
     return seen._replace(fault=fault, target_frame=name, heights=heights)
 
@@ -334,8 +333,6 @@ def _elsewhere(seen: Mounting, target: str, moved: Rigid, samples: _Samples, rec
 
     For ``samples`` and ``recorded``, see `_corrected`; ``seen`` has the ground in their axes.
     """
-    if seen.ground.off and seen.ground.kind != "slanted":
-        return None
     height = float(moved.translation[2]) - recorded
     grounds = [ground for points in samples if (ground := floor_elsewhere(points, moved.matrix, height, seen.ground))]
     if not grounds or 2 * len(grounds) < len(samples):
@@ -470,8 +467,8 @@ def suitable_heights(
     low, high, doubt = floor + least, min(floor + _HIGH, top), ""
     shown = "no scan is proposed; `pc2scan view` shows them"
     if high - low < _THINNEST:
-        between = f"{top + _BELOW_CEILING - floor:.2f} m"
-        high, doubt = low, f"only {between} are between the floor and what is overhead: {shown}"
+        overhead = top + _BELOW_CEILING - floor
+        high, doubt = low, f"only {overhead:.2f} m are between the floor and what is overhead: {shown}"
     elif ((z >= low) & (z <= high)).mean() < _FEWEST_SHARE:
         # There is no object on the ground, or the sensor is above all of them.
         doubt = f"no point is between {low:.2f} and {high:.2f} m, above the floor at z = {floor:.2f} m: {shown}"
