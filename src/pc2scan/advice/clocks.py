@@ -96,12 +96,15 @@ class ClockFinding(NamedTuple):
         What is wrong, for users.
     time_offset
         The value of the option ``time_offset`` that corrects it.
+    offset_ns
+        What has to be added to its stamps, nanoseconds.
     other
         The topic with moving transforms that it was compared with; empty if that were the log times.
     """
 
     text: str
     time_offset: str
+    offset_ns: int
     other: str = ""
 
     @property
@@ -171,7 +174,9 @@ class Clocks:
             if behind_ns > _DAY_NS and 0 <= facts.headers[0].stamp_ns < _LONG_AGO_NS:
                 cause = " (its clock counts from its start)"
             offset = "auto" if scale is None else f"-{scale}s"
-            findings[facts.topic] = ClockFinding(f"the stamps of {facts.topic} are {how}{cause}", offset, topic)
+            offset_ns = behind_ns if scale is None else -scale * 1_000_000_000
+            text = f"the stamps of {facts.topic} are {how}{cause}"
+            findings[facts.topic] = ClockFinding(text, offset, offset_ns, topic)
         return findings
 
 

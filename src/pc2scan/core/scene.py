@@ -611,11 +611,13 @@ def _refine(
         centred = members - middle
         normal = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1][:, 0]
         offset = float(normal @ middle)
-        inliers = np.abs(cells @ normal - offset) < tolerance
+        before, inliers = inliers, np.abs(cells @ normal - offset) < tolerance
         if among is not None:
             inliers &= among
         if inliers.sum() < 10:
             return None
+        if (inliers == before).all():
+            break
     if offset > 0:
         normal, offset = -normal, -offset
     members = cells[inliers]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from contextlib import ExitStack, suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
-from pc2scan.advice.clocks import Clocks, measure_offsets
+from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.odometry import turned_over
 from pc2scan.advice.survey import Span, Survey
@@ -27,7 +28,6 @@ from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.model import copied_message, declared_counts, of_types
 from pc2scan.parsing import OF_FRAMES, frames_of
 from pc2scan.request.point_time import PointTime
-from pc2scan.request.spec import StampOptions
 from pc2scan.result import Call, Part, Result
 from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY, mount_text
@@ -277,12 +277,9 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             surveyed = surveyed_by(Survey(reader, others, frames, span))
         clocks = surveyed.clocks
         # Only by corrected stamps is it known where the robot was.
-        known = StampOptions.of("header", [f"{topic}={clock.time_offset}" for topic, clock in clocks.items()]).by_topic
-        unknown = {topic: surveyed.facts[topic].connections for topic, known_ns in known.items() if not known_ns}
-        fits = measure_offsets(reader, unknown, frames.tf_topics, span) if unknown else {}
-        for topic, known_ns in known.items():
+        for topic, clock in clocks.items():
             for values in (surveyed.clouds[topic], *(observer.values for observer in surveyed.facts[topic].observers)):
-                values[:] = [_moved(value, known_ns or fits[topic].offset_ns) for value in values]
+                values[:] = [_moved(value, clock.offset_ns) for value in values]
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
         warnings += (*first.unit_warnings, *surveyed.warnings)
         clouds: list[CloudInfo] = []
@@ -492,8 +489,13 @@ class _SurveyResult:
 
 def _moved(value: Any, offset_ns: int) -> Any:
     """Return what is known of a message with a later stamp, if it has one."""
-    change = getattr(value, "_replace", partial(replace, value))
-    return change(stamp_ns=value.stamp_ns + offset_ns) if hasattr(value, "stamp_ns") else value
+    if not hasattr(value, "stamp_ns"):
+        return value
+    if isinstance(value, tuple):
+        return value._replace(stamp_ns=value.stamp_ns + offset_ns)
+    moved = copy(value)
+    vars(moved)["stamp_ns"] += offset_ns
+    return moved
 
 
 def _file_info(reader: Reader) -> FileInfo:
