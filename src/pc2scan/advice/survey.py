@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.layout import TURN
+from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away, gathered
 from pc2scan.errors import TransformError
-from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.messages.clouds import SCANS, decoder_of
 from pc2scan.transforms.attitude import ImuReading
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.mounting import mounting, unit_warning
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Sequence
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.points import Points
+    from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
     from pc2scan.transforms.buffer import TransformBuffer
@@ -57,29 +58,27 @@ class Fact(Generic[_Value]):
         Returns it, given a cloud, its message and ``given``. A cloud for which it is None, or raises a `MessageError`,
         is left out. It must keep no view of the message.
     most
-        For how many clouds it is wanted. Facts that differ only in this are observed once, for the most clouds.
+        For how many clouds it is wanted.
     given
         Further arguments of ``take``.
     are_enough
-        Whether the values of the first clouds are enough; None: all clouds are wanted.
+        Whether the values of the first clouds are enough; None: so many clouds are wanted. Facts that differ only in
+        this, and in their number, are observed once.
     """
 
     take: Callable[..., _Value | None]
     most: int = field(compare=False)
     given: tuple[Hashable, ...] = ()
-    are_enough: Callable[[Sequence[_Value]], bool] | None = None
+    are_enough: Callable[[Sequence[_Value]], bool] | None = field(default=None, compare=False)
 
 
 def _are_enough(samples: Sequence[CloudSample]) -> bool:
-    """Whether the first clouds show how a sensor is mounted, without transforms, which they may lack."""
+    """Whether the first clouds show how a sensor is mounted; those in a world's frame may lack transforms."""
     return bool(samples) and samples[0].frame_id.removeprefix("/") not in WORLDS and are_enough(samples)
 
 
-#: Samples of points, if they are moved into another frame, and if not.
-_SAMPLES = {
-    moved: Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=None if moved else _are_enough)
-    for moved in (True, False)
-}
+#: Samples of points.
+SAMPLES = Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=_are_enough)
 
 
 class Header(NamedTuple):
@@ -110,6 +109,15 @@ class Header(NamedTuple):
         return self.log_time_ns - self.stamp_ns
 
 
+def _header(decoded: Points | LaserScan, message: RawMessage) -> Header:
+    time_ns = message.log_time_ns
+    if isinstance(decoded, Points):
+        return Header(time_ns, decoded.stamp_ns, decoded.frame_id, tuple(decoded.fields))
+    increment = abs(decoded.angle_increment)
+    turn = abs(decoded.time_increment) * TURN / increment if increment else 0.0
+    return Header(time_ns, decoded.stamp_ns, decoded.frame_id, increment=increment, turn=turn)
+
+
 class TopicFacts:
     """What the first messages of a topic show.
 
@@ -126,10 +134,9 @@ class TopicFacts:
         self.connections = connections
         self._span = span
         self._clouds = [connection for connection in connections if connection.ros_type not in SCANS]
-        self._decoders = {cloud.id: CLOUDS[cloud.ros_type](cloud.serialization) for cloud in self._clouds}
+        self._decoders = {connection.id: decoder_of(connection) for connection in connections}
         # By `Fact`; the headers, which LaserScans have as well, by `Header`.
         self._observers: dict[Hashable, Observer[Any]] = {}
-        self._samples = _SAMPLES[True]
 
     @property
     def observers(self) -> Sequence[Observer[Any]]:
@@ -138,29 +145,19 @@ class TopicFacts:
 
     def ask_headers(self, most: int) -> None:
         """Ask for the headers of so many messages."""
-        self._ask(Header, self._header, most, self.connections)
+        self._ask(Header, _header, most, self.connections)
 
     def ask_last_headers(self, start_ns: int, most: int) -> None:
         """Ask for the headers of so many messages from a log time on."""
         span = self._span
         start_ns = start_ns if span.start_ns is None else max(start_ns, span.start_ns)
-        self._observers["last headers"] = Observer(self.connections, self._header, most, start_ns, span.stop_ns)
-
-    def ask_samples(self, *, moved: bool) -> None:
-        """Ask for samples of points.
-
-        Parameters
-        ----------
-        moved
-            Whether they are moved into another frame.
-        """
-        self._samples = _SAMPLES[moved]
-        self.ask(self._samples)
+        last = Observer(self.connections, _header, most, start_ns, span.stop_ns, self._decoded)
+        self._observers["last headers"] = last
 
     def ask(self, fact: Fact[Any]) -> None:
         """Ask for a fact about the first clouds; its observer begins at the first call."""
         observer = self._ask(
-            fact, lambda message: fact.take(self._points(message), message, *fact.given), fact.most, self._clouds
+            fact, lambda points, message: fact.take(points, message, *fact.given), fact.most, self._clouds
         )
         if (are_enough := fact.are_enough) is not None:
             observer.is_needless = lambda: are_enough(observer.values)
@@ -191,7 +188,7 @@ class TopicFacts:
         """
         clouds: list[CloudSample] = []
         above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT))
-        for sample in self.values(self._samples):
+        for sample in self.values(SAMPLES):
             try:
                 place = placer.place(sample.frame_id, sample.stamp_ns)
             except TransformError:
@@ -223,29 +220,19 @@ class TopicFacts:
 
     def unit_warning(self) -> str:
         """Return the warning that the clouds are in another unit than metres; empty if not, or in a world's frame."""
-        distance = next((far_away(sample.points) for sample in gathered(self.values(self._samples))), 0.0)
+        distance = next((far_away(sample.points) for sample in gathered(self.values(SAMPLES))), 0.0)
         return unit_warning(self.topic, distance) if distance and self.frame.removeprefix("/") not in WORLDS else ""
 
     def _ask(
-        self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]
+        self, fact: Hashable, take: Callable[..., Any], most: int, connections: Sequence[Connection]
     ) -> Observer[Any]:
-        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns)
+        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns, self._decoded)
         observer = self._observers.setdefault(fact, new)
         observer.most = max(observer.most or 0, most)
         return observer
 
-    def _points(self, message: RawMessage) -> Points:
+    def _decoded(self, message: RawMessage) -> Points | LaserScan:
         return self._decoders[message.connection.id](message.data)
-
-    def _header(self, message: RawMessage) -> Header:
-        connection, time_ns = message.connection, message.log_time_ns
-        if connection.id in self._decoders:
-            points = self._points(message)
-            return Header(time_ns, points.stamp_ns, points.frame_id, tuple(points.fields))
-        scan = SCANS[connection.ros_type](connection.serialization, "first")(message.data)
-        increment = abs(scan.angle_increment)
-        turn = abs(scan.time_increment) * TURN / increment if increment else 0.0
-        return Header(time_ns, scan.stamp_ns, scan.frame_id, increment=increment, turn=turn)
 
 
 class Survey:

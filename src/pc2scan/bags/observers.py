@@ -71,6 +71,9 @@ class Observer(Generic[_Value]):
         Returns what is kept of a message, and no view of its data, which would keep a whole chunk in memory. It may be
         called again for a message, and for some that are not among the first. If it raises a `MessageError`, nothing
         is kept; the message counts.
+    decode
+        Returns what ``take`` gets before the message; a message is decoded once for all observers that do it in the
+        same way. None: it gets the message alone.
     most
         How many messages are wanted; None: all.
     start_ns, stop_ns
@@ -90,10 +93,11 @@ class Observer(Generic[_Value]):
     """
 
     connections: Sequence[Connection]
-    take: Callable[[RawMessage], _Value]
+    take: Callable[..., _Value]
     most: int | None = None
     start_ns: int | None = None
     stop_ns: int | None = None
+    decode: Callable[[RawMessage], Any] | None = None
     spread: Spread | None = None
     keep: Callable[[_Value], object] | None = None
     is_needless: Callable[[], bool] | None = None
@@ -133,8 +137,10 @@ class Observer(Generic[_Value]):
         last = self.spread.part_of(min(chunk.end_ns, self.spread.stop_ns - 1))
         return last - first >= len(self.filled) or any(part not in self.filled for part in range(first, last + 1))
 
-    def value_of(self, message: RawMessage) -> tuple[Observer[Any], _Value | None] | None:
-        """Return what is kept of a message; None if it is not wanted."""
+    def value_of(
+        self, message: RawMessage, decoded: dict[Callable[[RawMessage], Any], Any]
+    ) -> tuple[Observer[Any], _Value | None] | None:
+        """Return what is kept of a message; None if it is not wanted. ``decoded`` has what it was decoded to so far."""
         time_ns = message.log_time_ns
         if (self.start_ns is not None and time_ns < self.start_ns) or (
             self.stop_ns is not None and time_ns >= self.stop_ns
@@ -148,7 +154,11 @@ class Observer(Generic[_Value]):
         if self.most is not None and self.is_done:
             return None
         try:
-            return self, self.take(message)
+            if self.decode is None:
+                return self, self.take(message)
+            if self.decode not in decoded:
+                decoded[self.decode] = self.decode(message)
+            return self, self.take(decoded[self.decode], message)
         except MessageError:
             return self, None
 
@@ -247,7 +257,8 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         # There may be a million transforms.
         if key in lone:
             return copied_message(message)
-        values = [value for observer in by_connection[key] if (value := observer.value_of(message))]
+        decoded: dict[Callable[[RawMessage], Any], Any] = {}
+        values = [value for observer in by_connection[key] if (value := observer.value_of(message, decoded))]
         return _Seen(message.log_time_ns, len(message.data), values)
 
     def is_wanted(chunk: Chunk) -> bool:

@@ -611,13 +611,11 @@ def _refine(
         centred = members - middle
         normal = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1][:, 0]
         offset = float(normal @ middle)
-        before, inliers = inliers, np.abs(cells @ normal - offset) < tolerance
+        inliers = np.abs(cells @ normal - offset) < tolerance
         if among is not None:
             inliers &= among
         if inliers.sum() < 10:
             return None
-        if (inliers == before).all():
-            break
     if offset > 0:
         normal, offset = -normal, -offset
     members = cells[inliers]

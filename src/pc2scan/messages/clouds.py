@@ -64,6 +64,12 @@ SCANS: dict[str, Callable[[str, str], DecodeScan]] = {
 }
 
 
+def decoder_of(connection: Connection) -> Callable[[Buffer], Points | LaserScan]:
+    """Return the decoder of a connection with clouds, or with scans, of whose several echoes it has the first."""
+    msgtype, serialization = connection.ros_type, connection.serialization
+    return SCANS[msgtype](serialization, "first") if msgtype in SCANS else CLOUDS[msgtype](serialization)
+
+
 def written_as_pointcloud2(connection: Connection) -> bool:
     """Return whether the messages of a connection are clouds that another message type can hold, PointCloud2."""
     return connection.ros_version is not None and connection.ros_type in CLOUDS and connection.ros_type != POINTCLOUD2

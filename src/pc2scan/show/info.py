@@ -14,7 +14,7 @@ from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.odometry import turned_over
-from pc2scan.advice.survey import Span, Survey
+from pc2scan.advice.survey import SAMPLES, Span, Survey
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
@@ -389,9 +389,10 @@ class _SurveyResult:
         self.facts: Mapping[str, TopicFacts] = {**clouds, **flat}
         for facts in self.facts.values():
             facts.ask_headers(HEADERS)
-            facts.ask_samples(moved=moved)  # of LaserScans there are none
+            # The first clouds may lack transforms.
+            facts.ask(replace(SAMPLES, are_enough=None) if moved else SAMPLES)
         for facts in clouds.values():
-            ask_facts(facts, end_ns)
+            ask_facts(facts, end_ns or 0)
         clocks = Clocks(survey, clouds.values())
         imus = {imu.topic for imu in of_types(survey.reader.connections, {IMU}) if clouds}
         readings = {topic: survey.imu(topic, _MAX_IMU) for topic in sorted(imus)}
@@ -491,8 +492,9 @@ def _moved(value: Any, offset_ns: int) -> Any:
     """Return what is known of a message with a later stamp, if it has one."""
     if not hasattr(value, "stamp_ns"):
         return value
-    if isinstance(value, tuple):
+    if hasattr(value, "_replace"):
         return value._replace(stamp_ns=value.stamp_ns + offset_ns)
+    # A sample's ground is not found again.
     moved = copy(value)
     vars(moved)["stamp_ns"] += offset_ns
     return moved

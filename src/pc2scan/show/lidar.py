@@ -93,12 +93,11 @@ _WIDTHS, _SEEN = (1, 2, 3, 4, 5), 10
 _PIXELS, _A_ROW = 2_000, 4
 
 
-def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
-    """Ask for the facts about a topic that a command depends on; the last message's log time is None without any."""
+def ask_facts(facts: TopicFacts, end_ns: int) -> None:
+    """Ask for the facts about a topic that a command depends on, given the log time of the recording's last message."""
     for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE):
         facts.ask(fact)
-    if end_ns is not None:
-        facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
+    facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
 
 
 def stamp_faults(facts: TopicFacts) -> list[str]:
