@@ -97,7 +97,7 @@ class ClockFinding(NamedTuple):
     time_offset
         The value of the option ``time_offset`` that corrects it.
     offset_ns
-        What has to be added to its stamps, nanoseconds.
+        What has to be added to its stamps, nanoseconds, if its messages are logged as soon after as those of ``other``.
     other
         The topic with moving transforms that it was compared with; empty if that were the log times.
     """
@@ -153,18 +153,19 @@ class Clocks:
         far from the log times (a simulation, or a recording that was played back), none are wrong.
         """
         findings = {}
-        motion = _medians(self._motion)
-        others = _medians(self._others).values()
+        motion, others = _nearest_of(self._motion), _nearest_of(self._others)
+        medians = {topic: median_low(delays_ns) for topic, delays_ns in motion.items()}
         for facts in self._topics:
             # Stamps that are all 0 are of no clock.
             if not any(header.stamp_ns for header in facts.headers):
                 continue
             delay_ns = _delay(facts)
-            topic = min(motion, key=lambda name: abs(delay_ns - motion[name]), default="")
-            reference_ns = motion.get(topic, 0)
+            topic = min(medians, key=lambda name: abs(delay_ns - medians[name]), default="")
+            reference_ns = medians.get(topic, 0)
             if not are_doubtful(delay_ns, reference_ns):
                 continue
-            if not motion and (self._is_simulated or not all(are_doubtful(delay_ns, other_ns) for other_ns in others)):
+            alike = (other for other in others.values() if not are_doubtful(delay_ns, median_low(other)))
+            if not motion and (self._is_simulated or any(alike)):
                 continue
             against = f"those of {topic}, compared with their log times" if topic else "their log times"
             behind_ns = delay_ns - reference_ns
@@ -174,7 +175,8 @@ class Clocks:
             if behind_ns > _DAY_NS and 0 <= facts.headers[0].stamp_ns < _LONG_AGO_NS:
                 cause = " (its clock counts from its start)"
             offset = "auto" if scale is None else f"-{scale}s"
-            offset_ns = behind_ns if scale is None else -scale * 1_000_000_000
+            # Of the messages that were logged soonest.
+            offset_ns = min(header.delay_ns for header in facts.headers) - min(motion.get(topic, [0]))
             text = f"the stamps of {facts.topic} are {how}{cause}"
             findings[facts.topic] = ClockFinding(text, offset, offset_ns, topic)
         return findings
@@ -184,10 +186,10 @@ def _delay(facts: TopicFacts) -> int:
     return median_low([header.delay_ns for header in facts.headers[:CLOCK_HEADERS]])
 
 
-def _medians(observers: Mapping[str, Observer[Delays]]) -> dict[str, int]:
-    """Return the median delay of each topic that has messages."""
+def _nearest_of(observers: Mapping[str, Observer[Delays]]) -> dict[str, list[int]]:
+    """Return the delays of each topic that has messages; see `_nearest`."""
     delays = {topic: _nearest(observer.values) for topic, observer in observers.items()}
-    return {topic: median_low(values) for topic, values in delays.items() if values}
+    return {topic: values for topic, values in delays.items() if values}
 
 
 def _duration_text(duration_ns: int) -> str:
@@ -287,9 +289,9 @@ def measure_offsets(
     ends = {topic: Observer(own, _delay_of_end, _MOTIONS, span.start_ns, span.stop_ns) for topic, own in topics.items()}
     references = _observers(motion, span)
     observe((reader, [*ends.values(), *references.values()]))
-    medians = _medians(references)
-    reference = min(medians, key=lambda topic: abs(medians[topic]), default="")
-    others = _nearest(references[reference].values) if reference else [0]
+    nearest = _nearest_of(references)
+    reference = min(nearest, key=lambda topic: abs(median_low(nearest[topic])), default="")
+    others = nearest.get(reference, [0])
     against = f"the stamps of {reference}" if reference else "the log times"
     offsets = {}
     for topic, observer in ends.items():

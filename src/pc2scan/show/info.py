@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from contextlib import ExitStack, suppress
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -20,6 +19,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
 from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.scene import CloudSample
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
@@ -36,7 +36,7 @@ from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
-from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
+from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, last_ns, stamp_faults
 from .proposals import odometry_doubts, proposals
 from .topic_content import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
@@ -278,12 +278,13 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         clocks = surveyed.clocks
         # Only by corrected stamps is it known where the robot was.
         for topic, clock in clocks.items():
+            # A cloud is logged after its last point.
+            offset_ns = clock.offset_ns - last_ns(surveyed.facts[topic])
             for values in (surveyed.clouds[topic], *(observer.values for observer in surveyed.facts[topic].observers)):
-                values[:] = [_moved(value, clock.offset_ns) for value in values]
+                values[:] = [_moved(value, offset_ns) for value in values]
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
         warnings += (*first.unit_warnings, *surveyed.warnings)
-        clouds: list[CloudInfo] = []
-        lidars: list[Lidar] = []
+        clouds, lidars = list[CloudInfo](), list[Lidar]()
         for topic, own in surveyed.clouds.items():
             mounting, is_own = surveyed.mounting(topic)
             cloud, placed = describe_clouds(topic, own, surveyed.places)
@@ -490,14 +491,11 @@ class _SurveyResult:
 
 def _moved(value: Any, offset_ns: int) -> Any:
     """Return what is known of a message with a later stamp, if it has one."""
-    if not hasattr(value, "stamp_ns"):
+    if isinstance(value, CloudSample):
+        # In place, so that its ground is not found again.
+        vars(value)["stamp_ns"] += offset_ns
         return value
-    if hasattr(value, "_replace"):
-        return value._replace(stamp_ns=value.stamp_ns + offset_ns)
-    # A sample's ground is not found again.
-    moved = copy(value)
-    vars(moved)["stamp_ns"] += offset_ns
-    return moved
+    return value._replace(stamp_ns=value.stamp_ns + offset_ns) if hasattr(value, "stamp_ns") else value
 
 
 def _file_info(reader: Reader) -> FileInfo:

@@ -100,6 +100,11 @@ def ask_facts(facts: TopicFacts, end_ns: int) -> None:
     facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
 
 
+def last_ns(facts: TopicFacts) -> int:
+    """Return how long after its stamp the last point of a cloud is measured, nanoseconds; 0 if it is not known."""
+    return round(1e9 * max(0.0, median([times.high for times in facts.values(_TIMES)] or [0.0])))
+
+
 def stamp_faults(facts: TopicFacts) -> list[str]:
     """Return what is wrong with the stamps of the first messages of a topic, and what to do."""
     stamps = StampCounts()
@@ -542,12 +547,10 @@ def _coordinates(cloud: PlacedCloud) -> NDArray[np.float64]:
 
 
 def _slope(ground: NDArray[np.float64], low: float, high: float) -> float:
-    """Return how steeply points rise above the lower limit: those up to the upper one, which then rises with them."""
-    z, ranges, slope = ground[:, 2], np.hypot(ground[:, 0], ground[:, 1]), 0.0
-    for _ in range(2):
-        rising = (z > low) & (z < high + slope * ranges) & (ranges > _NEAR)
-        slope = percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
-    return slope
+    """Return how steeply points between the limits rise above the lower one."""
+    z, ranges = ground[:, 2], np.hypot(ground[:, 0], ground[:, 1])
+    rising = (z > low) & (z < high) & (ranges > _NEAR)
+    return percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
 
 
 def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[PointCounts]]:

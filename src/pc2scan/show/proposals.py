@@ -98,9 +98,8 @@ def body_of(
         good = points[(points[:, 2] >= low + _CELL) & (points[:, 2] <= high)]
         for counts, size in (small, _CELL), (large, _LARGE):
             cells = np.floor(good[np.abs(good).max(axis=1, initial=0.0) < _CELLS * size, :2] / size).astype(np.intp)
-            filled = np.zeros(counts.shape, bool)
-            filled[tuple(cells.T + _CELLS)] = True
-            counts[filled] += 1
+            places = (cells + _CELLS) @ (len(counts), 1)
+            counts[:] += np.reshape(np.bincount(places, minlength=counts.size) > 0, counts.shape)
         ranges, direction = _polar(good - sensor)
         view = np.full(_DIRECTIONS, np.inf)
         np.minimum.at(view, direction, ranges)
