@@ -17,7 +17,7 @@ from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away, gathered
 from pc2scan.errors import TransformError
-from pc2scan.messages.clouds import SCANS, decoder_of
+from pc2scan.messages.clouds import SCANS, decoded
 from pc2scan.transforms.attitude import ImuReading
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.mounting import mounting, unit_warning
@@ -109,13 +109,13 @@ class Header(NamedTuple):
         return self.log_time_ns - self.stamp_ns
 
 
-def _header(decoded: Points | LaserScan, message: RawMessage) -> Header:
+def _header(own: Points | LaserScan, message: RawMessage) -> Header:
     time_ns = message.log_time_ns
-    if isinstance(decoded, Points):
-        return Header(time_ns, decoded.stamp_ns, decoded.frame_id, tuple(decoded.fields))
-    increment = abs(decoded.angle_increment)
-    turn = abs(decoded.time_increment) * TURN / increment if increment else 0.0
-    return Header(time_ns, decoded.stamp_ns, decoded.frame_id, increment=increment, turn=turn)
+    if isinstance(own, Points):
+        return Header(time_ns, own.stamp_ns, own.frame_id, tuple(own.fields))
+    increment = abs(own.angle_increment)
+    turn = abs(own.time_increment) * TURN / increment if increment else 0.0
+    return Header(time_ns, own.stamp_ns, own.frame_id, increment=increment, turn=turn)
 
 
 class TopicFacts:
@@ -134,7 +134,6 @@ class TopicFacts:
         self.connections = connections
         self._span = span
         self._clouds = [connection for connection in connections if connection.ros_type not in SCANS]
-        self._decoders = {connection.id: decoder_of(connection) for connection in connections}
         # By `Fact`; the headers, which LaserScans have as well, by `Header`.
         self._observers: dict[Hashable, Observer[Any]] = {}
 
@@ -151,7 +150,7 @@ class TopicFacts:
         """Ask for the headers of so many messages from a log time on."""
         span = self._span
         start_ns = start_ns if span.start_ns is None else max(start_ns, span.start_ns)
-        last = Observer(self.connections, _header, most, start_ns, span.stop_ns, self._decoded)
+        last = Observer(self.connections, _header, most, start_ns, span.stop_ns, decoded)
         self._observers["last headers"] = last
 
     def ask(self, fact: Fact[Any]) -> None:
@@ -226,13 +225,10 @@ class TopicFacts:
     def _ask(
         self, fact: Hashable, take: Callable[..., Any], most: int, connections: Sequence[Connection]
     ) -> Observer[Any]:
-        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns, self._decoded)
+        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns, decoded)
         observer = self._observers.setdefault(fact, new)
         observer.most = max(observer.most or 0, most)
         return observer
-
-    def _decoded(self, message: RawMessage) -> Points | LaserScan:
-        return self._decoders[message.connection.id](message.data)
 
 
 class Survey:

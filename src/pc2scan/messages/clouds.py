@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TypeAlias
 
 from pc2scan.core.points import Points
-from pc2scan.model import Buffer, Connection
+from pc2scan.model import Buffer, Connection, RawMessage
 
 from .laserscan import LASERSCAN, LaserScan, decode_laserscan
 from .pointcloud2 import POINTCLOUD2, as_pointcloud2, encode_cloud, point_decoder
@@ -64,10 +64,11 @@ SCANS: dict[str, Callable[[str, str], DecodeScan]] = {
 }
 
 
-def decoder_of(connection: Connection) -> Callable[[Buffer], Points | LaserScan]:
-    """Return the decoder of a connection with clouds, or with scans, of whose several echoes it has the first."""
-    msgtype, serialization = connection.ros_type, connection.serialization
-    return SCANS[msgtype](serialization, "first") if msgtype in SCANS else CLOUDS[msgtype](serialization)
+def decoded(message: RawMessage) -> Points | LaserScan:
+    """Return the points of a message with a cloud, or its scan; of several echoes, the first."""
+    msgtype, serialization = message.connection.ros_type, message.connection.serialization
+    decode = SCANS[msgtype](serialization, "first") if msgtype in SCANS else CLOUDS[msgtype](serialization)
+    return decode(message.data)
 
 
 def written_as_pointcloud2(connection: Connection) -> bool:
