@@ -217,7 +217,8 @@ def _ground_text(mounting: Mounting) -> str:
     ground, heights = mounting.ground, mounting.heights
     if heights is None or heights.floor is None:
         return "no floor found; the heights are those around the sensor"
-    frame, question = mounting.target_frame or mounting.judged_in, f"; {heights.question}" * bool(heights.question)
+    frame = mounting.target_frame or mounting.judged_in
+    question = f"; {heights.question}" if heights.question else ""
     ceiling = "" if heights.ceiling is None else f", ceiling at {height_text(heights.ceiling)} m"
     is_known = ground.height and mounting.frame.removeprefix("/") not in {*BODIES, *WORLDS}
     sensor = f"; the sensor is {ground.height:.2f} m above the floor" if is_known else ""
