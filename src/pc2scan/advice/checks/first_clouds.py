@@ -385,7 +385,9 @@ def heights_above_floor(clouds: CloudFacts) -> Iterator[str]:
     if spec.is_default("min_height") or floor is None:
         return
     above = low - sample.origin[2] + floor.height
-    if target and target.removeprefix("/") in BODIES and above > _NOTHING_LOW:
+    # If the sensor is below the robot's frame, and the heights are above it, z may have the wrong sign.
+    most = _OVERLOOKED if sample.origin[2] < 0 < low else _NOTHING_LOW
+    if target and target.removeprefix("/") in BODIES and above > most:
         cure = "is another `cloud_scale` right, or another transform?"
     elif not target and low > 0 and above > _OVERLOOKED and clouds.mounting.target_frame in BODIES:
         cure = f"heights above the floor: {clouds.advice}"
