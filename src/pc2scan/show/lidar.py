@@ -328,9 +328,9 @@ class Lidar:
         return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
 
     @property
-    def merges(self) -> int:
-        """How many clouds become one scan."""
-        return round(self.turn / self.period) if self.turn else self.pattern[0]
+    def merges(self) -> bool:
+        """Whether several clouds become one scan."""
+        return bool(self.turn or self.pattern[0] > 1)
 
     def tried_clouds(self, *, is_placed: bool) -> list[Points]:
         """Return clouds to try a command on, with stamps of their middles: the first ones if they are parts.
@@ -341,7 +341,7 @@ class Lidar:
         frame = own.frame if self.parts or self.is_registered else own.judged_in
         if self.parts:
             stamped = list(zip((header.stamp_ns for header in self.facts.headers), self.parts, strict=False))
-            most = len(stamped) if self.merges > 1 else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
+            most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
         clouds = []
         for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
             thinned = recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1]
@@ -518,15 +518,15 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
         # What a robot that moves sees of a place, from all of them.
         placed = [ways[0].compose(way.inverse()).apply(xyz) for way, xyz in zip(ways, placed, strict=True)]
     params, heights = spec.params, lidar.mounting.heights
-    seen = [np.concatenate(placed)] if lidar.merges > 1 or ways else placed
+    seen = [np.concatenate(placed)] if lidar.merges or ways else placed
     # From a floor that is not known, nothing rises.
     floor = None if heights is None else heights.floor
     low = math.inf if floor is None else params.min_height
     lies = [are_ground(xyz, low, lidar.sensor[2] - (floor or 0.0)) for xyz in seen]
     slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, lies, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
-    marked, every = [], 1 if lidar.merges > 1 else -(-len(clouds) // _CLOUDS)
-    for cloud, stands in list(zip(clouds, parts, strict=True))[::every]:
+    marked = []
+    for cloud, stands in list(zip(clouds, parts, strict=True))[:: 1 if lidar.merges else -(-len(clouds) // _CLOUDS)]:
         marked.append(replace(cloud, points=cloud.points.replace({_STANDS: stands}, cloud.points.frame_id)))
     return Scene(marked, placer, samples, slopes)
 
@@ -571,6 +571,6 @@ def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[Poin
         counts.append(scans[0].counts)
     read = np.array(ranges, np.float64)
     read[~((read >= params.range_min) & (read <= params.range_max))] = np.inf
-    merged = np.minimum.reduceat(read, np.arange(0, len(read), lidar.merges))
+    merged = read.min(axis=0, keepdims=True) if lidar.merges else read
     is_blurred = lidar.pattern[0] > 1 and not lidar.world and have_moved(read[:, 0], _OFF)
     return Trial(merged, (_BLURRED,) if is_blurred else ()), counts

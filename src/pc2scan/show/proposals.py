@@ -107,7 +107,6 @@ def body_of(
         # Not held while the next one is transformed.
         del points, good
     stays, large_stays = (counts >= _PERSIST * len(views) for counts in (small, large))
-    moves = large_stays.sum() <= _STANDS * np.count_nonzero(large)
     cells = np.argwhere(stays) - _CELLS
     body = np.insert((cells + 0.5) * _CELL, 2, low, axis=1)
     own_ranges, _ = _polar(body - sensor)
@@ -123,7 +122,7 @@ def body_of(
             free += is_off & (behind > _LEFT) & (ranges >= own_ranges)
             again += is_off & (np.abs(behind) <= _LEFT)
     is_left = free * (1 - _PERSIST) > again * _PERSIST
-    sure = bool(moves and is_left.any())
+    sure = bool(is_left.any() and large_stays.sum() <= _STANDS * np.count_nonzero(large))
     cells = cells[is_left if sure else (own_ranges < _CLOSE) & (again <= free)]
     if len(views) < _FEWEST_CLOUDS or not cells.size:
         return (), False
@@ -191,6 +190,8 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
     outcomes = [(worst, worst, list[Choice](), trials)]
     for way in _ways(options, group, slopes, why) if worst > _LYING else ():
         added = {choice.name: choice.value for choice in way}
+        if "ground" in added and way[1:] and way[:1] not in (done for _, _, done, _ in outcomes):
+            continue
         # A higher limit lets in more of what is overhead.
         if "max_height" in added and min(outcomes, key=itemgetter(0))[1] <= _TOLD:
             break
@@ -213,8 +214,8 @@ def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float
     low, high = options["min_height"], options["max_height"]
     ground = Choice("ground", "remove", why)
     limits = [Choice("min_height", float(f"{low + by:.2f}"), why) for by in _HIGHER if low + by + _THIN <= high]
-    # Grass on it is higher.
-    yield from ([ground], [ground, *limits[:1]], *([limit] for limit in limits))
+    # Both are for grass on ground that the filter finds.
+    yield from ([ground], *([limit] for limit in limits), [ground, *limits[:1]])
     # If the robot tilts, other clouds have steeper ground.
     if max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
@@ -403,10 +404,9 @@ def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
 def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     """Yield the boxes around the robot's own body, and around the origins of lidars that write zeros for no return."""
     lidar = group[0]
-    boxes: dict[str, str] = {}
     # The preset rejects points at the origin of the scans' own frame.
     origins = (sensor_exclusion(member.mounting.frame, lidar.target) for member in group if member.has_zeros)
-    boxes |= {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
+    boxes = {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
     for member in group:
         limits = lidar.mounting.heights
         body, sure = body_of(member.placed, member.sensor, limits.low, limits.high) if limits else ((), False)
