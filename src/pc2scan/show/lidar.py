@@ -22,7 +22,6 @@ from pc2scan.advice.odometry import floor_tilt
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.report import StampCounts
 from pc2scan.conversion.steps import CloudToScan, PlaceStep
-from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median, median_low, percentiles
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
@@ -58,9 +57,6 @@ if TYPE_CHECKING:
 
 #: All transforms of so much time at both edges of a recording are known, nanoseconds.
 EDGE_NS = 1_000_000_000
-
-#: A stamp may be so far from the nearest transform, seconds.
-TOLERANCE = ProjectionParams().transform_tolerance
 
 #: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
 #: shape of their rings, how many that have few points, and the largest of a pattern that is sparse, points.
@@ -217,12 +213,10 @@ class Lidar:
         return 0.0 if is_unknown else median([timing.high - timing.low for timing in times])
 
     @property
-    def reach(self) -> tuple[float, float]:
-        """The times of a cloud's first and last point, seconds after its stamp; without them, the tolerance."""
-        if not self.duration:
-            return -TOLERANCE, TOLERANCE
-        times = self.facts.values(_TIMES)
-        return min(timing.low for timing in times), max(timing.high for timing in times)
+    def middle_ns(self) -> int:
+        """The middle of the times of a cloud's points after its stamp, nanoseconds; 0 without plausible times."""
+        times = self.facts.values(_TIMES) if self.duration else []
+        return round(median([(timing.low + timing.high) / 2 for timing in times]) * 1e9) if times else 0
 
     @property
     def time_field(self) -> str:
@@ -348,7 +342,7 @@ class Lidar:
             # Points at the sensor are no returns.
             xyz = thinned[:, np.isfinite(thinned).all(axis=0) & thinned.any(axis=0)]
             axes = self.in_target(xyz, frame, stamp_ns).T if is_placed else xyz
-            at_ns = stamp_ns + round(sum(self.reach) / 2 * 1e9)
+            at_ns = stamp_ns + self.middle_ns
             clouds.append(Points(0, at_ns, self.target if is_placed else frame, dict(zip("xyz", axes, strict=True))))
         return [cloud for cloud in clouds if cloud.fields["x"].size]
 

@@ -23,7 +23,7 @@ from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import spread_of_up
 from pc2scan.transforms.mounting import sensor_exclusion
 
-from .lidar import TOLERANCE, Lidar, Trial, stamp_faults, tried
+from .lidar import Lidar, Trial, stamp_faults, tried
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -66,9 +66,8 @@ _STANDS, _LARGE, _CELLS, _CLOSE = 0.5, 0.5, 20, 0.5
 #: is so far away from it, metres. How many directions there are.
 _AWAY, _LEFT, _DIRECTIONS = 3, 0.3, 360
 
-#: Cuts at an edge are hundredths of a second if there is one between the clouds; further packets come within so much
-#: time, nanoseconds.
-_CUT_NS, _SOON_NS = 10_000_000, 20_000_000
+#: Cuts at an edge are hundredths of a second if there is one between the clouds, nanoseconds.
+_CUT_NS = 10_000_000
 
 
 def body_of(
@@ -349,8 +348,9 @@ def _times(group: Sequence[Lidar]) -> Iterator[Choice]:
 def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     """Yield ``start`` or ``end``, seconds, and why, so that the first and last clouds have transforms; or nothing.
 
-    A cloud is skipped if there is no transform to the fixed frame at its stamp, or at none of its points' times. Clouds
-    that lack transforms for longer than all are known are left as they are: they may have some.
+    A cloud is skipped if there is no transform to the fixed frame at its stamp, and loses what it measured without one:
+    it is left out if that is most of it. Clouds that lack transforms for longer than all are known are left as they
+    are: they may have some.
     """
     buffer, start_ns, (first_ns, last_ns) = lidars[0].buffer, lidars[0].recorded.start_ns or 0, lidars[0].known_ns
     if not fixed or buffer is None:
@@ -359,23 +359,23 @@ def _edge_cuts(lidars: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
     first, last = list[tuple[bool, int, int]](), list[tuple[bool, int, int]]()
     for lidar in lidars:
         links = buffer.moving_links(fixed, lidar.moving_frame)
-        before_ns, after_ns, tolerance_ns = (round(seconds * 1e9) for seconds in (*lidar.reach, TOLERANCE))
         if not links:
             return
         begin_ns, stop_ns = max(link.first_ns for link in links), min(link.last_ns for link in links)
+        middle_ns, tolerance_ns = lidar.middle_ns, ProjectionParams().tolerance_ns
         for header in lidar.facts.headers:
-            is_lost = header.stamp_ns + min(tolerance_ns, after_ns) < begin_ns
-            first.append((is_lost, header.log_time_ns - start_ns, begin_ns - header.stamp_ns - min(before_ns, 0)))
+            is_lost = header.stamp_ns + min(middle_ns, tolerance_ns) < begin_ns
+            first.append((is_lost, header.log_time_ns - start_ns, begin_ns - header.stamp_ns - min(middle_ns, 0)))
         for header in lidar.facts.last_headers:
-            is_lost = header.stamp_ns + max(-tolerance_ns, before_ns) > stop_ns
-            last.append((is_lost, header.log_time_ns - start_ns, header.stamp_ns + max(after_ns, 0) - stop_ns))
+            is_lost = header.stamp_ns + max(middle_ns, -tolerance_ns) > stop_ns
+            last.append((is_lost, header.log_time_ns - start_ns, header.stamp_ns + max(middle_ns, 0) - stop_ns))
     if lost := [entry for entry in first if entry[0]]:
         (_, after_ns, lacks_ns), by_ns = max(lost), max(entry[2] for entry in lost)
         later = [time_ns for is_lost, time_ns, _ in first if not is_lost and time_ns > after_ns]
         # If all of these packets came too early, later ones are known by their own times.
         after_ns += 0 if later else lacks_ns
         if after_ns + start_ns < first_ns:
-            seconds = min((after_ns // _CUT_NS + 1) * _CUT_NS, min(later, default=after_ns + _SOON_NS)) / 1e9
+            seconds = min([(after_ns // _CUT_NS + 1) * _CUT_NS, *later]) / 1e9
             yield Choice("start", seconds, f"transforms to {fixed} begin {by_ns / 1e9:.2g} s after the first cloud")
     if lost := [entry for entry in last if entry[0]]:
         until_ns, by_ns = min(entry[1] for entry in lost), max(entry[2] for entry in lost)
