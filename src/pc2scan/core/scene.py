@@ -123,7 +123,7 @@ GOLDEN = 0.6180339887498949
 _LEAST_SHARE, _LEAST_HEIGHT, _MOST_BELOW, _BESIDE = 0.15, 0.03, 0.05, 0.2
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class CloudSample:
     """Some points of a cloud, relative to the sensor along the axes of the frame in which it is judged.
 

@@ -494,7 +494,7 @@ def _moved(value: Any, offset_ns: int) -> Any:
     """Return what is known of a message with a later stamp, if it has one."""
     if isinstance(value, CloudSample):
         # In place, so that its ground is not found again.
-        vars(value)["stamp_ns"] += offset_ns
+        value.stamp_ns += offset_ns
         return value
     return value._replace(stamp_ns=value.stamp_ns + offset_ns) if hasattr(value, "stamp_ns") else value
 

@@ -189,6 +189,7 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
     outcomes = [(worst, worst, list[Choice](), trials)]
     for way in _ways(options, group, slopes, why) if worst > _LYING else ():
         added = {choice.name: choice.value for choice in way}
+        # The filter is tried with a limit only if it has found ground without one.
         if "ground" in added and way[1:] and way[:1] not in (done for _, _, done, _ in outcomes):
             continue
         # A higher limit lets in more of what is overhead.

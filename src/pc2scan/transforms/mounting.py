@@ -437,6 +437,11 @@ def suitable_heights(
         The transform to the frame of the heights; None for the samples' frame, in which the sensor is at ``origin_z``.
     frame, recorded
         The robot's frame, if the recording says where the sensor is in it, and the floor in it by the recording.
+
+    Notes
+    -----
+    0.1 to 1.5 m above the floor, or more where the ground is rough, and 0.2 m below what is overhead. Without a floor,
+    around the sensor: what is visible there is no floor.
     """
     points = [points for points in samples if len(points)]
     if not points or far_away(points[0]):
