@@ -541,10 +541,12 @@ def _coordinates(cloud: PlacedCloud) -> NDArray[np.float64]:
 
 
 def _slope(ground: NDArray[np.float64], low: float, high: float) -> float:
-    """Return how steeply points between the limits rise above the lower one."""
-    z, ranges = ground[:, 2], np.hypot(ground[:, 0], ground[:, 1])
-    rising = (z > low) & (z < high) & (ranges > _NEAR)
-    return percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
+    """Return how steeply points rise above the lower limit: those up to the upper one, which then rises with them."""
+    z, ranges, slope = ground[:, 2], np.hypot(ground[:, 0], ground[:, 1]), 0.0
+    for _ in range(2):
+        rising = (z > low) & (z < high + slope * ranges) & (ranges > _NEAR)
+        slope = percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
+    return slope
 
 
 def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[PointCounts]]:
