@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
-from pc2scan.core.percentiles import median_low
+from pc2scan.core.percentiles import median, median_low
 from pc2scan.errors import DecodeError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.poses import POSES
@@ -18,6 +18,8 @@ from pc2scan.request.point_time import PointTime
 from pc2scan.request.spec import TRAJECTORY
 from pc2scan.text import counted, stamp
 from pc2scan.transforms.reading import tf_connections
+
+from .measurements import times_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -333,5 +335,15 @@ def _delay_of_end(message: RawMessage) -> int:
     if kind in CLOUDS:
         points = CLOUDS[kind](serialization)(message.data)
         with suppress(DecodeError):
-            last_s = max(0.0, PointTime().read(points).high)
-    return message.log_time_ns - stamp_ns - round(min(last_s, _LONGEST_S) * 1e9)
+            last_s = PointTime().read(points).high
+    return message.log_time_ns - stamp_ns - _end_ns(last_s)
+
+
+def last_point_ns(facts: TopicFacts) -> int:
+    """Return how long after its stamp the last point of a cloud is measured, nanoseconds; 0 if it is not known."""
+    return _end_ns(median([times.high for times in facts.values(times_of(PointTime()))] or [0.0]))
+
+
+def _end_ns(last_s: float) -> int:
+    """Return the time of a cloud's last point after its stamp, nanoseconds, within what a cloud may take."""
+    return round(1e9 * min(max(0.0, last_s), _LONGEST_S))

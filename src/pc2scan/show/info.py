@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
-from pc2scan.advice.clocks import Clocks
+from pc2scan.advice.clocks import Clocks, last_point_ns
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.odometry import turned_over
 from pc2scan.advice.survey import SAMPLES, Span, Survey
@@ -36,7 +36,7 @@ from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
-from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, last_ns, stamp_faults
+from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
 from .proposals import odometry_doubts, proposals
 from .topic_content import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
@@ -280,7 +280,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         # Only by corrected stamps is it known where the robot was.
         for topic, clock in clocks.items():
             # A cloud is logged after its last point.
-            offset_ns = clock.offset_ns - last_ns(surveyed.facts[topic])
+            offset_ns = clock.offset_ns - last_point_ns(surveyed.facts[topic])
             for values in (surveyed.clouds[topic], *(observer.values for observer in surveyed.facts[topic].observers)):
                 values[:] = [_moved(value, offset_ns) for value in values]
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]

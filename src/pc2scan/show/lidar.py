@@ -96,11 +96,6 @@ def ask_facts(facts: TopicFacts, end_ns: int) -> None:
     facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
 
 
-def last_ns(facts: TopicFacts) -> int:
-    """Return how long after its stamp the last point of a cloud is measured, nanoseconds; 0 if it is not known."""
-    return round(1e9 * max(0.0, median([times.high for times in facts.values(_TIMES)] or [0.0])))
-
-
 def stamp_faults(facts: TopicFacts) -> list[str]:
     """Return what is wrong with the stamps of the first messages of a topic, and what to do."""
     stamps = StampCounts()
@@ -116,7 +111,12 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32]:
         return np.empty((3, 0), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         columns = np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
-    return columns[:, np.isfinite(columns).all(axis=0) & columns.any(axis=0)]
+    return _returns(columns)
+
+
+def _returns(xyz: NDArray[Any]) -> NDArray[Any]:
+    """Return those of a cloud's points, (3, N), that are finite, and not at the sensor."""
+    return xyz[:, np.isfinite(xyz).all(axis=0) & xyz.any(axis=0)]
 
 
 def _are_many(clouds: Sequence[NDArray[np.float32]]) -> bool:
@@ -338,9 +338,7 @@ class Lidar:
             most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
         clouds = []
         for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
-            thinned = recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1]
-            # Points at the sensor are no returns.
-            xyz = thinned[:, np.isfinite(thinned).all(axis=0) & thinned.any(axis=0)]
+            xyz = _returns(recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1])
             axes = self.in_target(xyz, frame, stamp_ns).T if is_placed else xyz
             at_ns = stamp_ns + self.middle_ns
             clouds.append(Points(0, at_ns, self.target if is_placed else frame, dict(zip("xyz", axes, strict=True))))

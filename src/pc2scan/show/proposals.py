@@ -105,6 +105,8 @@ def body_of(
         views.append((place, np.minimum.reduce([np.roll(view, step) for step in (-1, 0, 1)])))
         # Not held while the next one is transformed.
         del points, good
+    if len(views) < _FEWEST_CLOUDS:
+        return (), False
     stays, large_stays = (counts >= _PERSIST * len(views) for counts in (small, large))
     cells = np.argwhere(stays) - _CELLS
     body = np.insert((cells + 0.5) * _CELL, 2, low, axis=1)
@@ -123,7 +125,7 @@ def body_of(
     is_left = free * (1 - _PERSIST) > again * _PERSIST
     sure = bool(is_left.any() and large_stays.sum() <= _STANDS * np.count_nonzero(large))
     cells = cells[is_left if sure else (own_ranges < _CLOSE) & (again <= free)]
-    if len(views) < _FEWEST_CLOUDS or not cells.size:
+    if not cells.size:
         return (), False
     (x0, y0), (x1, y1) = cells.min(axis=0) * _CELL - 0.05, (cells.max(axis=0) + 1) * _CELL + 0.05
     return [round(float(limit), 2) for limit in (x0, x1, y0, y1, low - 0.1, high + 0.1)], sure
@@ -215,7 +217,7 @@ def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float
     ground = Choice("ground", "remove", why)
     limits = [Choice("min_height", float(f"{low + by:.2f}"), why) for by in _HIGHER if low + by + _THIN <= high]
     # Both are for grass on ground that the filter finds.
-    yield from ([ground], *([limit] for limit in limits), [ground, *limits[:1]])
+    yield from ([ground], *([limit] for limit in limits), *([ground, limit] for limit in limits[:1]))
     # If the robot tilts, other clouds have steeper ground.
     if max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
@@ -408,8 +410,8 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     # The preset rejects points at the origin of the scans' own frame.
     origins = (sensor_exclusion(member.mounting.frame, lidar.target) for member in group if member.has_zeros)
     boxes = {value: "(0, 0, 0) is no return" for option, value in origins if option == "exclude_box"}
+    limits = lidar.mounting.heights
     for member in group:
-        limits = lidar.mounting.heights
         body, sure = body_of(member.placed, member.sensor, limits.low, limits.high) if limits else ((), False)
         if body:
             box = " ".join((lidar.target or lidar.mounting.frame, *map("{:g}".format, body)))

@@ -190,10 +190,11 @@ def mounting(
     clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples = [cloud.points for cloud in clouds]
-    seen = Mounting(topic, frame, judged_in, common_ground([cloud.ground for cloud in clouds]), samples)
-    if (transform := clouds[0].transform) is not None:
-        if recorded := _recorded_floor(buffer, judged_in, stamp_ns):
-            seen = seen._replace(ground=_believed(samples, origin_z - recorded))
+    transform = clouds[0].transform
+    recorded = 0.0 if transform is None else _recorded_floor(buffer, judged_in, stamp_ns)
+    ground = _believed(samples, origin_z - recorded) if recorded else common_ground([cloud.ground for cloud in clouds])
+    seen = Mounting(topic, frame, judged_in, ground, samples)
+    if transform is not None:
         if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
             return elsewhere
         fault, kind = _fault(seen.ground) if seen.ground.off else "", seen.ground.kind
@@ -276,9 +277,8 @@ def _corrected(
     turned = level.compose(target_from_frame).quaternion
     right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
     moved = [level.apply(points) for points in samples]
-    heights = suitable_heights(
-        _believed(moved, height - recorded), moved, frame=target, origin_z=height, recorded=recorded
-    )
+    corrected = _believed(moved, height - recorded)
+    heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
     return _mounted_on(seen, target, right, heights)
 
 
