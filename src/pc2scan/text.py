@@ -22,6 +22,9 @@ _LONGEST_NAME = 255
 #: Stamps between these, in seconds since 1970 (years 1980 to 2100), are shown as dates.
 _FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
 
+#: Moments before this are shown in seconds: stamps of simulations begin at 0.
+_EARLIEST_NS = 100_000_000 * 1_000_000_000
+
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the name that is most similar to the requested one, or None if none is similar.
@@ -80,6 +83,11 @@ def count(number: int) -> str:
     return f"{number:,}" if number else "-"
 
 
+def count_range(least: int, most: int) -> str:
+    """Return the smallest and the largest of some counts as text; one number if they are equal."""
+    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
+
+
 def counted(number: int, noun: str, verb: str = "") -> str:
     """Render a number of things, optionally with a verb, which is given in the plural.
 
@@ -134,6 +142,14 @@ def stamp(stamp_ns: int) -> str:
     if not _FIRST_DATE <= seconds <= _LAST_DATE:
         return stamp_text(stamp_ns)
     return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
+
+
+def moment_text(stamp_ns: int) -> str:
+    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
+    if stamp_ns < _EARLIEST_NS:
+        return f"{stamp_ns / 1e9:.3f} s"
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
 
 
 #: Maximum number of characters of a cell, because one long name would widen every line. Names in ROS have at most 255.

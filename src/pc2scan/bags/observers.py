@@ -9,6 +9,7 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from pc2scan.errors import MessageError
@@ -57,6 +58,18 @@ class Spread(NamedTuple):
     def begin_ns(self, part: int) -> int:
         """Return the first time of a part."""
         return self.start_ns - (self.start_ns - self.stop_ns) * part // self.parts
+
+
+def first_messages(
+    reader: Reader, connections: Sequence[Connection], start_ns: int, stop_ns: int, samples: int
+) -> Iterator[RawMessage]:
+    """Yield so many messages of connections, spread over ``start_ns <= log_time_ns < stop_ns``; all if few."""
+    spread = Spread.of(connections, start_ns, stop_ns, samples)
+    if spread is None:
+        yield from reader.messages(connections, start_ns, stop_ns)
+        return
+    for part in range(spread.parts):
+        yield from islice(reader.messages(connections, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
 
 
 @dataclass(slots=True, eq=False)

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import struct
-import zlib
 from collections import Counter
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
@@ -34,6 +32,7 @@ from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.files.outputs import files_output, inputs_of, refuse_overlap
 from pc2scan.files.paths import path_of, path_or_url
+from pc2scan.files.png import png_of
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.table import options_about_scans
@@ -154,7 +153,7 @@ class Map(Result):
         inside = ((places >= 0) & (places < (self.width, self.height))).all(axis=1)
         pixels[tuple(places[inside].astype(int).T[::-1])] = _ROBOT
         enlarged = max(1, min(_LARGEST_CELL, _SIDE // max(pixels.shape)))
-        return _png(pixels[::-1].repeat(enlarged, axis=0).repeat(enlarged, axis=1))
+        return png_of(list(pixels[::-1].repeat(enlarged, axis=0).repeat(enlarged, axis=1)), _COLOURS)
 
     def _repr_png_(self) -> bytes:
         return self.png
@@ -216,22 +215,6 @@ def _paths(path: Path) -> list[Path]:
         hint = f"maps are NAME.yaml: `destination={path.stem}.yaml`; a picture is NAME.png"
         raise UsageError("is not the name of a map", path=path, hint=hint)
     return [path.with_suffix(".pgm"), path.with_suffix(".png"), path]
-
-
-def _png(pixels: NDArray[np.uint8]) -> bytes:
-    """Return pixels, numbers of `_COLOURS`, as a PNG file."""
-    height, width = pixels.shape
-    # Each row begins with the number of its filter: 0, none.
-    rows = np.pad(pixels, ((0, 0), (1, 0)))
-    parts = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
-        (b"PLTE", _COLOURS),
-        (b"IDAT", zlib.compress(rows.tobytes(), 9)),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
-    )
 
 
 def draw_map(

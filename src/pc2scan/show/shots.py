@@ -5,7 +5,6 @@ from __future__ import annotations
 import heapq
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from functools import partial
 from itertools import islice
 from operator import attrgetter
@@ -17,7 +16,7 @@ from pc2scan.advice.checks import first_clouds as checks
 from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
 from pc2scan.bags.damage import mention
-from pc2scan.bags.observers import Spread
+from pc2scan.bags.observers import first_messages
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.conversion.corrections import scaled
@@ -30,7 +29,7 @@ from pc2scan.core.scene import CloudSample, are_enough
 from pc2scan.errors import DecodeError, MessageError, RecordingError, TopicError, UsageError, leading, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result, tell_early
-from pc2scan.text import counted, size
+from pc2scan.text import counted, moment_text, size
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -49,9 +48,6 @@ if TYPE_CHECKING:
     from pc2scan.request.spec import Request
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.placing import Placement, Placer
-
-#: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
-_FIRST_DATE_NS = 100_000_000 * 1_000_000_000
 
 #: What is said of the first cloud that is shown, and of the first few. Heights are not: pages have sliders for them.
 _OF_ONE = (checks.target_that_moves, checks.clouds_in_fixed_frame)
@@ -203,14 +199,6 @@ def title_of(sources: Sequence[Path]) -> str:
     return ", ".join(source.name or str(source) for source in sources)
 
 
-def moment_text(stamp_ns: int) -> str:
-    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
-    if stamp_ns < _FIRST_DATE_NS:
-        return f"{stamp_ns / 1e9:.3f} s"
-    seconds, rest = divmod(stamp_ns, 1_000_000_000)
-    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
-
-
 def chosen_messages(recording: PictureSource, topics: Mapping[str, Sequence[Connection]]) -> Iterator[RawMessage]:
     """Yield the first message of each topic at or after each moment of the call.
 
@@ -236,15 +224,8 @@ def chosen_messages(recording: PictureSource, topics: Mapping[str, Sequence[Conn
     if start_ns >= stop_ns:
         return
 
-    def first_messages(own: Sequence[Connection]) -> Iterator[RawMessage]:
-        spread = Spread.of(own, start_ns, stop_ns, options.clouds)
-        if spread is None:
-            yield from reader.messages(own, start_ns, stop_ns)
-            return
-        for part in range(spread.parts):
-            yield from islice(reader.messages(own, spread.begin_ns(part), spread.begin_ns(part + 1)), 1)
-
-    yield from heapq.merge(*map(first_messages, topics.values()), key=attrgetter("log_time_ns"))
+    each = (first_messages(reader, own, start_ns, stop_ns, options.clouds) for own in topics.values())
+    yield from heapq.merge(*each, key=attrgetter("log_time_ns"))
 
 
 def _moments(reader: Reader, at: Sequence[TimeBound]) -> list[int]:

@@ -26,7 +26,7 @@ from pc2scan.core.timing import IN_SECONDS, increment_doubt
 from pc2scan.errors import DecodeError, TransformError, leading, name_list, stamp_text
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import scan_for_consumers
-from pc2scan.text import agreeing, counted
+from pc2scan.text import agreeing, count_range, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -227,11 +227,6 @@ class TopicCheck(NamedTuple):
         for finding in self.findings:
             yield from finding.lines()
         yield ""
-
-
-def count_range(least: int, most: int) -> str:
-    """Return the smallest and the largest of some counts as text; one number if they are equal."""
-    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
 
 
 def few_unplaced(unplaced: int, scans: int, interval_ns: float | None) -> bool:

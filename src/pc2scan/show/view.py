@@ -40,12 +40,12 @@ from pc2scan.options.call import Options, call_words
 from pc2scan.options.table import PARAMETERS, options_of
 from pc2scan.parsing import conversion_of, first_output
 from pc2scan.result import Call
-from pc2scan.text import counted
+from pc2scan.text import counted, moment_text
 from pc2scan.transforms.static import added_transforms
 
 from .check import check, scan_connections
 from .info import info_of
-from .shots import Picture, chosen_messages, damage_of, moment_text, opened, take_shots, title_of
+from .shots import Picture, chosen_messages, damage_of, opened, take_shots, title_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
