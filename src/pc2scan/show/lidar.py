@@ -20,14 +20,15 @@ from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
 from pc2scan.advice.odometry import floor_tilt
 from pc2scan.advice.survey import Fact
+from pc2scan.conversion.deskew import Deskew
 from pc2scan.conversion.report import StampCounts
 from pc2scan.conversion.steps import CloudToScan, PlaceStep
 from pc2scan.core.percentiles import median, median_low, percentiles
-from pc2scan.core.points import Points
+from pc2scan.core.points import TIME, Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import are_ground, have_moved, sectors_of, thin_points
 from pc2scan.core.timing import median_interval_ns
-from pc2scan.errors import Pc2ScanError, TransformError
+from pc2scan.errors import DecodeError, Pc2ScanError, TransformError
 from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
 from pc2scan.request.filters import Frame
@@ -36,6 +37,8 @@ from pc2scan.transforms.frames import WORLDS
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.static import StaticTransform
+
+from .topic_content import seconds_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -105,18 +108,18 @@ def stamp_faults(facts: TopicFacts) -> list[str]:
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32]:
-    """Return copies of the returns of a small cloud, (3, N); none of a large one, and of the grid of a camera."""
+    """Return copies of the returns of a small cloud, (4, N), with their times; none of a large one, or of a camera."""
     xyz = points.xyz()
     if xyz[0].size > _SPARSE or xyz[0].ndim > 1:
-        return np.empty((3, 0), np.float32)
+        return np.empty((4, 0), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
-        columns = np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+        columns = np.stack([np.ravel(axis).astype(np.float32) for axis in (*xyz, seconds_of(points))])
     return _returns(columns)
 
 
 def _returns(xyz: NDArray[Any]) -> NDArray[Any]:
-    """Return those of a cloud's points, (3, N), that are finite, and not at the sensor."""
-    return xyz[:, np.isfinite(xyz).all(axis=0) & xyz.any(axis=0)]
+    """Return those of a cloud's points, (3, N) or with times, that are finite, and not at the sensor."""
+    return xyz[:, np.isfinite(xyz[:3]).all(axis=0) & xyz[:3].any(axis=0)]
 
 
 def _are_many(clouds: Sequence[NDArray[np.float32]]) -> bool:
@@ -148,8 +151,8 @@ class Lidar:
     buffer
         The transforms; None if there are none.
     clouds
-        Stamps and points, each (3, N), of clouds that are spread over the recording, in the frame in which they were
-        judged; registered ones in their own.
+        Stamps and points, each (4, N) with their times, or (3, N), of clouds that are spread over the recording, in the
+        frame in which they were judged; registered ones in their own.
     has_zeros
         Whether points at (0, 0, 0) stand for no return.
     recorded, connections
@@ -271,7 +274,7 @@ class Lidar:
 
     @cached_property
     def parts(self) -> Sequence[NDArray[np.float32]]:
-        """The first clouds, each (3, N) in its own frame, if they are parts of a turn or of a pattern; else empty."""
+        """The first clouds, each (4, N) in its own frame, if they are parts of a turn or of a pattern; else empty."""
         recorded = [] if self.step and not self.turn else self.facts.values(_PATTERN)
         return recorded if self.turn or (recorded and not _are_of_camera(recorded[:_SEVERAL])) else []
 
@@ -306,7 +309,7 @@ class Lidar:
     @cached_property
     def floor_tilt(self) -> float | None:
         """How far the floor that clouds show tilts in the frame of the scans, radians; None if too few show it."""
-        few = (self.in_target(thin_points(*xyz).T, stamp_ns=at_ns) - self.sensor for at_ns, xyz in self.clouds[::2])
+        few = (self.in_target(thin_points(*xyz[:3]).T, stamp_ns=at_ns) - self.sensor for at_ns, xyz in self.clouds[::2])
         return None if self.turn else floor_tilt(few)
 
     @property
@@ -338,21 +341,34 @@ class Lidar:
             most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
         clouds = []
         for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
-            xyz = _returns(recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1])
-            axes = self.in_target(xyz, frame, stamp_ns).T if is_placed else xyz
-            at_ns = stamp_ns + self.middle_ns
+            few = _returns(recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1])
+            at_ns, xyz = self._at_once(stamp_ns, few)
+            axes = self.in_target(xyz, frame, at_ns).T if is_placed else xyz
             clouds.append(Points(0, at_ns, self.target if is_placed else frame, dict(zip("xyz", axes, strict=True))))
         return [cloud for cloud in clouds if cloud.fields["x"].size]
 
+    def _at_once(self, stamp_ns: int, points: NDArray[np.floating[Any]]) -> tuple[int, NDArray[np.floating[Any]]]:
+        """Return the middle of a cloud's times, and its points, (3, N), as they are seen from where it is then."""
+        motion = self.motion(self.duration) if self.duration else None
+        if motion is not None and len(points) > 3:
+            cloud = Points(0, stamp_ns, self.mounting.frame, dict(zip((*"xyz", TIME), points, strict=True)))
+            deskew = Deskew(Placer("", "", self.buffer, 0), motion.fixed, PointTime(), "middle")
+            with suppress(DecodeError, TransformError):
+                if moving := deskew(cloud):
+                    return moving.stamp_ns, _returns(np.stack(moving.place(cloud)[0].xyz()))
+        return stamp_ns + self.middle_ns, points[:3]
+
     def clouds_in(self, fixed: str) -> list[tuple[Rigid, NDArray[np.floating[Any]]]]:
         """Return the transforms of the spread clouds to a frame that does not move, and their finite points, (N, 3)."""
-        places = [(self.transform(fixed, self.mounting.frame, stamp_ns), points.T) for stamp_ns, points in self.clouds]
+        places = [
+            (self.transform(fixed, self.mounting.frame, stamp_ns), points[:3].T) for stamp_ns, points in self.clouds
+        ]
         return [(place, xyz[np.isfinite(xyz).all(axis=1)]) for place, xyz in places if place is not None]
 
     def in_target(self, points: NDArray[np.floating[Any]], frame: str = "", stamp_ns: int = 0) -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3): of `clouds`, if none is given."""
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-            xyz = points.T.astype(np.float64)
+            xyz = points[:3].T.astype(np.float64)
         frame = frame or (self.mounting.frame if self.is_registered else self.mounting.judged_in)
         target, static = self.target, self.mounting.static_tf
         if static and frame == self.mounting.frame:
@@ -371,8 +387,8 @@ def _middle(directions: int) -> float:
 
 
 def _are_of_camera(clouds: Sequence[NDArray[np.float32]]) -> bool:
-    """Whether clouds, each (3, N), are of a camera, whose pixels are in few rows and columns; also without points."""
-    x, y, z = np.concatenate(clouds, axis=1)[:, :_PIXELS]
+    """Whether clouds, each (4, N), are of a camera, whose pixels are in few rows and columns; also without points."""
+    x, y, z, _ = np.concatenate(clouds, axis=1)[:, :_PIXELS]
     with np.errstate(all="ignore"):
         of_axes = (np.round(one / other, 4) for one, other in ((x, z), (y, z), (y, x), (z, x)))
         # Not `np.unique`, which imports NumPy's masked arrays.

@@ -26,6 +26,7 @@ from pc2scan.core.timing import IN_SECONDS, increment_doubt
 from pc2scan.errors import DecodeError, TransformError, leading, name_list, stamp_text
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import scan_for_consumers
+from pc2scan.request.point_time import PointTime
 from pc2scan.text import agreeing, count_range, counted
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.core.points import Points
     from pc2scan.messages.laserscan import LaserScan
     from pc2scan.model import RawMessage
     from pc2scan.result import Part
@@ -520,7 +522,7 @@ class ShownCloud(NamedTuple):
     Attributes
     ----------
     points
-        (3, N), without those at (0, 0, 0) or with NaN.
+        (4, N): with their times, see `seconds_of`, without those at (0, 0, 0) or with NaN; (3, N) in another frame.
     nans, zeros
         How many of the points that were examined have NaN, and how many are at (0, 0, 0).
     shape, fields
@@ -536,6 +538,13 @@ class ShownCloud(NamedTuple):
     fields: tuple[tuple[str, str], ...]
 
 
+def seconds_of(points: Points) -> NDArray[Any]:
+    """Return the times of a cloud's points, seconds after its stamp, as many as these; NaN if they are not known."""
+    with suppress(DecodeError):
+        return np.asarray(PointTime().read(points).at())
+    return np.full(points.xyz()[0].shape, np.nan)
+
+
 def sample_cloud(most: int, message: RawMessage) -> ShownCloud | str:
     """Return what is kept of a cloud, so many points at most, or why it cannot be described."""
     fields = []
@@ -548,14 +557,14 @@ def sample_cloud(most: int, message: RawMessage) -> ShownCloud | str:
                 fields.append((name, cloud.field(name).dtype.name))
         step = -(-coordinates[0].size // most) or 1
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-            x, y, z = (_thinned(column, step) for column in coordinates)
+            x, y, z, seconds = (_thinned(column, step) for column in (*coordinates, seconds_of(cloud)))
             # Points at the sensor are no returns, wherever the sensor is in the target frame.
             zero = (x == 0) & (y == 0) & (z == 0)
             nan = np.isnan(x) | np.isnan(y) | np.isnan(z)
     except DecodeError as err:
         return _problem(err)
     height, width = np.atleast_2d(coordinates[0]).shape
-    points, layout = np.stack([x, y, z])[:, ~(zero | nan)], ((height, width), tuple(fields))
+    points, layout = np.stack([x, y, z, seconds.astype(x.dtype)])[:, ~(zero | nan)], ((height, width), tuple(fields))
     return ShownCloud(cloud.frame_id, cloud.stamp_ns, points, int(nan.sum()), int(zero.sum()), *layout)
 
 
@@ -584,7 +593,7 @@ def describe_clouds(topic: str, sampled: list[ShownCloud | str], places: Placer)
             problems[_problem(err)] = None
             continue
         if place.target_from_source is not None:
-            points = place.target_from_source.apply(cloud.points.T).T
+            points = place.target_from_source.apply(cloud.points[:3].T).T
             # Of infinite coordinates.
             cloud = cloud._replace(points=points[:, ~np.isnan(points).any(axis=0)])
         clouds.append(cloud)
@@ -622,9 +631,9 @@ def _thinned(column: NDArray[Any], step: int) -> NDArray[np.floating[Any]]:
 
 
 def _limits(parts: Sequence[NDArray[np.floating[Any]]]) -> dict[str, tuple[float, float]]:
-    """Return the least and the largest finite x, y, z and range of points, (3, N) of each cloud."""
+    """Return the least and the largest finite x, y, z and range of points, (3, N) or more of each cloud."""
     limits: dict[str, tuple[float, float]] = {}
-    for x, y, z in parts:
+    for x, y, z, *_ in parts:
         for name, values in (("x", x), ("y", y), ("z", z), ("range", np.hypot(x, y, dtype=np.float64))):
             finite = values[np.isfinite(values)]
             if finite.size:
