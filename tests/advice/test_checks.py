@@ -13,6 +13,7 @@ import pc2scan
 from pc2scan.advice import checks
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.checks.plausibility import OutputRequest
+from pc2scan.advice.survey import placed_sample
 from pc2scan.conversion import result_checks as result
 from pc2scan.conversion.combine.grouping import Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport
@@ -26,6 +27,7 @@ from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
 from pc2scan.request.spec import ScanSpec
 from pc2scan.transforms.builder import TransformBuilder
+from pc2scan.transforms.placing import Placement
 from support.tables import rows
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 
@@ -77,9 +79,8 @@ def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used:
     moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
     points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
     lossy = "made lossy" if name == "lossy_clouds" else ""
-    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)), lossy)).placed_in(
-        target or "lidar", moved
-    )
+    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)), lossy))
+    sample = placed_sample(sample, Placement(target or "lidar", moved))
     counts = PointCounts(len(points), used, height=len(points) - used)
     known = KnownTransforms("", lambda: None, static=static)
     facts = CloudFacts("/points", request.scan, known, [sample], [counts])

@@ -7,7 +7,8 @@ nothing. The subjects' modules declare the facts (`Fact`), and say what follows 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from pc2scan.bags.observers import Observer, observe
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.mounting import Mounting
-    from pc2scan.transforms.placing import FrameOptions, Placer
+    from pc2scan.transforms.placing import FrameOptions, Placement, Placer
 
 #: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
 _ABOVE_ROBOT = 0.5
@@ -79,6 +80,22 @@ def _are_enough(samples: Sequence[CloudSample]) -> bool:
 
 #: Samples of points.
 SAMPLES = Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=_are_enough)
+
+
+def placed_sample(sample: CloudSample, place: Placement) -> CloudSample:
+    """Return a sample in the frame of scans, in which it is judged.
+
+    From where clouds in the robot's frame, or a world's, were seen is not known: from above the robot's origin.
+    """
+    frame, moved, own = place.frame_id, place.target_from_source, sample.frame_id.removeprefix("/")
+    if own in BODIES or (own in WORLDS and moved is not None):
+        above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT * (frame.removeprefix("/") in BODIES)))
+        points = (sample.points if moved is None else moved.apply(sample.points)) - above.translation
+        return replace(sample, judged_in=frame, points=points, transform=above, zeros=0)
+    if moved is None:
+        # The ground is found once.
+        return sample if frame == sample.judged_in else replace(sample, judged_in=frame)
+    return replace(sample, judged_in=frame, points=moved.rotation.apply(sample.points), transform=moved)
 
 
 class Header(NamedTuple):
@@ -186,18 +203,9 @@ class TopicFacts:
         Those that have no place there are left out.
         """
         clouds: list[CloudSample] = []
-        above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT))
         for sample in self.values(SAMPLES):
-            try:
-                place = placer.place(sample.frame_id, sample.stamp_ns)
-            except TransformError:
-                continue
-            placed = sample.placed_in(place.frame_id, place.target_from_source)
-            own = sample.frame_id.removeprefix("/")
-            # From where such clouds were seen is not known.
-            is_placed = own in BODIES or (own in WORLDS and placed.transform is not None)
-            origin = above if place.frame_id.removeprefix("/") in BODIES else Rigid.identity()
-            clouds.append(placed.seen_from(origin) if is_placed else placed)
+            with suppress(TransformError):
+                clouds.append(placed_sample(sample, placer.place(sample.frame_id, sample.stamp_ns)))
             if are_enough(clouds):
                 break
         return clouds

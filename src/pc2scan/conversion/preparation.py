@@ -22,7 +22,7 @@ from pc2scan.advice.measurements import (
     time_warnings,
 )
 from pc2scan.advice.odometry import Surroundings, odometry_of
-from pc2scan.advice.survey import Span, Survey
+from pc2scan.advice.survey import Span, Survey, placed_sample
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.points import Points
@@ -444,8 +444,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
             for message in messages:
                 item = convert_message(routes, message)
                 alone = [(out, out.combiner.alone(result) if out.combiner else result) for out, result in item.results]
-                item = item._replace(results=alone)
-                read, successes = read + 1, successes + (item.failure is None)
+                item, read, successes = item._replace(results=alone), read + 1, successes + (item.failure is None)
                 unconnected += [item.failure] if isinstance(item.failure, UnconnectedError) else []
                 if tally is not None:
                     tally.count(item)
@@ -484,9 +483,8 @@ def _samples(
     if isinstance(points, Points):
         sample = CloudSample.of(points)
         for spec, (output, scan) in scans.items():
-            placer = prepared.conversions[spec, output.joined].placer
-            place = placer.place(points.frame_id, scan.stamp_ns or points.stamp_ns)
-            yield spec, sample.placed_in(place.frame_id, place.target_from_source), scan.counts
+            placer, stamp_ns = prepared.conversions[spec, output.joined].placer, scan.stamp_ns or points.stamp_ns
+            yield spec, placed_sample(sample, placer.place(points.frame_id, stamp_ns)), scan.counts
 
 
 def count_by_index(prepared: Preparation, report: Report) -> None:

@@ -159,17 +159,6 @@ class CloudSample:
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
         return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, thin_points(x, y, z), zeros=zeros, lossy=cloud.lossy)
 
-    def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
-        """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
-        if transform is None:
-            # The ground is found once.
-            return self if frame == self.judged_in else replace(self, judged_in=frame)
-        return replace(self, judged_in=frame, points=transform.rotation.apply(self.points), transform=transform)
-
-    def seen_from(self, rigid: Rigid) -> CloudSample:
-        """Return the sample as if the sensor were elsewhere in the frame in which it is judged: without zeros there."""
-        return replace(self, points=self.placed - rigid.translation, transform=rigid, zeros=0)
-
     @property
     def origin(self) -> tuple[float, float, float]:
         """The position of the sensor in the frame in which it is judged, metres."""

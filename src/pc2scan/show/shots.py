@@ -15,6 +15,7 @@ import numpy as np
 from pc2scan.advice.checks import first_clouds as checks
 from pc2scan.advice.checks import found_by
 from pc2scan.advice.measurements import Measurements
+from pc2scan.advice.survey import placed_sample
 from pc2scan.bags.damage import mention
 from pc2scan.bags.observers import first_messages
 from pc2scan.bags.opening import as_one, open_recordings
@@ -317,7 +318,7 @@ def _shot(message: RawMessage, conversion: CloudToScan, placer: Placer, samples:
     moving, stamp_ns = recorded.moving, recorded.stamp_ns
     placement = placer.place(points.frame_id, stamp_ns)
     if not are_enough(samples):
-        samples.append(CloudSample.of(points).placed_in(placement.frame_id, placement.target_from_source))
+        samples.append(placed_sample(CloudSample.of(points), placement))
     columns = _columns(points, (points if moving is None else moving.place(moving.points)[0]).xyz())
     filtered = None
     if filters:
