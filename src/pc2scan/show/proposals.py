@@ -194,9 +194,6 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
         # The filter is tried with a limit only if it has found ground without one.
         if "ground" in added and way[1:] and way[:1] not in (done for _, _, done, _ in outcomes):
             continue
-        # A higher limit lets in more of what is overhead.
-        if "max_height" in added and min(outcomes, key=itemgetter(0))[1] <= _TOLD:
-            break
         after = [tried({**options, **added}, lidar) for lidar in group]
         lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
         if lying <= worst / 2 if "ground" in added else lying <= _LYING and missed <= _MISSED:
