@@ -394,7 +394,9 @@ def _level_by_imu(lidar: Lidar) -> Iterator[Choice]:
     motion = lidar.motion(0.1)
     curves = 0.0 if motion is None else 100 * motion.metres * motion.radians / GRAVITY
     for topic, up in lidar.ups.items():
-        angle, z = spread_of_up(up.directions), up.z_of(lidar.target or lidar.mounting.frame, lidar.buffer)
+        # A mount that is assumed says nothing of how the lidar tilts with the IMU.
+        buffer = None if lidar.assumed else lidar.buffer
+        angle, z = spread_of_up(up.directions), up.z_of(lidar.target or lidar.mounting.frame, buffer)
         if z and tilts(angle, lambda: lidar.floor_tilt, curves * up.is_felt):
             yield Choice("level", True, f"roll and pitch vary by {math.degrees(angle):.1f} deg, by the IMU")
             yield Choice("imu", topic, "no transforms say how the robot tilts")
