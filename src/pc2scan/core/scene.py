@@ -181,7 +181,7 @@ class CloudSample:
         """The ground, if it is level, and visible."""
         return self.ground if self.ground.kind == "level" and self.ground.height else None
 
-    @property
+    @cached_property
     def floor_elsewhere(self) -> Ground | None:
         """See `floor_elsewhere`; None without a transform."""
         moved = self.transform
@@ -372,19 +372,24 @@ class Ground(NamedTuple):
         What is not about as far below it is another plane, such as the outer ring on walls, unless it is large and seen
         from near, and few points are as far below as the transforms say.
         """
-        near = NEAR_MOUNT * height if self.off else max(ONE_FLOOR + 0.03 * height, self.rough)
+        near = NEAR_MOUNT * height if self.off else ONE_FLOOR + 0.03 * height
         is_there = abs(self.height - height) < near
         if height <= 0 or is_there or (self.up is None and self.off) or not (self.off or self.height):
             return self
         if self.off:
             return Ground("unknown")
-        on_it = points[np.abs(points @ np.array(self.normal) + self.height) < tolerances(points)]
-        distances = np.linalg.norm(on_it, axis=1)
+        points = cells_of(points)
+        ranges, tolerance = np.linalg.norm(points, axis=1), tolerances(points)
+        on_it = ranges[np.abs(points @ np.array(self.normal) + self.height) < tolerance]
+        at = np.abs(points[:, 2] + height) < tolerance
         # What is also seen where the transforms say is the floor that the robot stands on.
-        below = np.count_nonzero(np.abs(points[:, 2] + height) < tolerances(points))
-        if len(on_it) > _LARGE_FLOOR * len(points) >= below and percentiles(distances, 10)[0] < _FARTHEST * self.height:
-            return self
-        return self._replace(up=None, height=0.0, rough=0.0)
+        is_floor = on_it.size > _LARGE_FLOOR * len(points) >= at.sum()
+        is_floor = is_floor and percentiles(on_it, 10)[0] < _FARTHEST * self.height
+        if self.height > height and on_it.size > _MOST_BELOW * len(points):
+            # Nothing is seen through a floor, which is nearer than what is below it.
+            is_seen = at.any() and _is_surface(points, at, tolerance, height, -1)
+            is_floor = not is_seen or percentiles(on_it, 10)[0] < percentiles(ranges[at], 10)[0]
+        return self if is_floor else self._replace(up=None, height=0.0, rough=0.0)
 
 
 def common_ground(looks: Sequence[Ground]) -> Ground:
@@ -683,7 +688,7 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
         How high it says that the sensor is, metres; and the ground in this frame.
     """
     turned, off = _angle(matrix[2, 2]), abs(seen.height - height)
-    is_missed = height > ONE_FLOOR and (seen.off or off >= NEAR_MOUNT * height)
+    is_missed = height > ONE_FLOOR and (seen.off or off > ONE_FLOOR + 0.03 * height)
     near = max(0.01 + 0.03 * height, _NEARER * off if seen.height else 0.0)
     floors: list[Ground] = []
     ways = (matrix, matrix * (1.0, -1.0, -1.0)) if is_missed else (matrix,) if turned > _LEAST_TILT else ()

@@ -34,7 +34,7 @@ from .buffer import mount_text
 from .frames import BODIES, WORLDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -128,10 +128,8 @@ class Mounting(NamedTuple):
     @property
     def options(self) -> str:
         """The options that make the clouds level, as written in messages; empty if unknown."""
-        if not self.target_frame:
-            return ""
         static = f"`static_tf={shlex.quote(self.static_tf)}` " if self.static_tf else ""
-        return f"{static}`target_frame={shlex.quote(self.target_frame)}`"
+        return f"{static}`target_frame={shlex.quote(self.target_frame)}`" if self.target_frame else ""
 
     @property
     def cure(self) -> str:
@@ -197,10 +195,10 @@ def mounting(
     if transform is not None:
         if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
             return elsewhere
-        fault, kind = _fault(seen.ground) if seen.ground.off else "", seen.ground.kind
-        if buffer and fault and kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
-            return _corrected(seen, judged_in, moved, seen.ground, samples, recorded)
-        heights = suitable_heights(seen.ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
+        fault = _fault(ground) if ground.off else ""
+        if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
+            return _corrected(seen, judged_in, moved, ground, samples, recorded)
+        heights = suitable_heights(ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
         return seen._replace(fault=fault, heights=heights)
     if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
         return by_transforms
@@ -261,7 +259,7 @@ def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
 
 def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
     """Return the mounting with another transform of the frame."""
-    static = _static(parent, seen.frame, parent_from_frame)
+    static = static_tf_of(parent, seen.frame, parent_from_frame)
     return seen._replace(fault=_fault(seen.ground), target_frame=static and parent, static_tf=static, heights=heights)
 
 
@@ -273,10 +271,16 @@ def _corrected(
     ``ground`` is the ground by the recorded transform; ``samples`` are in its axes; for ``recorded``, see
     `suitable_heights`.
     """
-    level, height = Rigid.from_rpy(*ground.level_from_frame), float(target_from_frame.translation[2])
-    turned = level.compose(target_from_frame).quaternion
-    right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
-    moved = [level.apply(points) for points in samples]
+    matrix, height = target_from_frame.matrix, float(target_from_frame.translation[2])
+    # It looks where it does by its transform: along its x axis, or along z if y is upright, as that of a camera.
+    is_optical = ground.kind == "optical"
+    is_camera = is_optical or abs(matrix[2, 1]) > 0.7
+    x, y = (1.0, 0.0) if is_optical else matrix[:2, 2 * is_camera]
+    up = (np.array(ground.normal) @ matrix).tolist()
+    own = Ground("optical" if is_camera else "tilted", ground.up and (up[0], up[1], up[2]))
+    roll, pitch, yaw = own.level_from_frame
+    right = Rigid.from_rpy(roll, pitch, yaw + math.atan2(y, x), target_from_frame.translation)
+    moved = [right.rotation.apply(points @ matrix) for points in samples]
     corrected = _believed(moved, height - recorded)
     heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
     return _mounted_on(seen, target, right, heights)
@@ -292,7 +296,9 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     ground, body = seen.ground, _body(buffer, seen.frame, stamp_ns)
     if body is None:
         # No frame is known to be level, so a new frame that makes the clouds level is used.
-        for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
+        for name in buffer.above(seen.frame) if ground.off else ():
+            if name in WORLDS or (moved := _lookup(buffer, name, seen.frame, stamp_ns)) is None:
+                return None
             if ground.up is not None and float((moved.matrix @ np.array(ground.up))[2]) > math.cos(LEVEL):
                 heights = suitable_heights(ground, seen.samples, moved)
                 return seen._replace(fault=_fault(ground), target_frame=name, heights=heights)
@@ -318,14 +324,11 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
-        how = f"tilted by {math.degrees(tilt):.1f} deg"
-        if tilt > math.pi - _NOTABLE_TILT:
-            how = "upside down"
-            # What seems the floor in the frame itself is the ceiling.
-            x, y, z = (np.array(body_ground.normal) @ body_from_frame.matrix).tolist()
-            seen = seen._replace(ground=body_ground._replace(kind="upside-down", up=(x, y, z)))
+        how = "upside down" if tilt > math.pi - _NOTABLE_TILT else f"tilted by {math.degrees(tilt):.1f} deg"
         fault = f"{how} according to its transform to {name!r}; expected z up"
-    return seen._replace(fault=fault, target_frame=name, heights=heights)
+    # The floor may be another one than that of the frame itself, which is not where the transform says.
+    ground = seen.ground._replace(height=body_ground.height)
+    return seen._replace(ground=ground, fault=fault, target_frame=name, heights=heights)
 
 
 def _elsewhere(seen: Mounting, target: str, moved: Rigid, samples: _Samples, recorded: float) -> Mounting | None:
@@ -346,7 +349,7 @@ def _elsewhere(seen: Mounting, target: str, moved: Rigid, samples: _Samples, rec
     return _corrected(seen, target, moved, ground, samples, recorded)._replace(fault=fault)
 
 
-def _static(parent: str, child: str, rigid: Rigid) -> str:
+def static_tf_of(parent: str, child: str, rigid: Rigid) -> str:
     """Return the text of `static_tf`; empty if it cannot have such a name."""
     if not (_WORD.fullmatch(parent) and _WORD.fullmatch(child)):
         return ""
@@ -377,14 +380,6 @@ def _recorded_floor(buffer: TransformBuffer | None, frame: str, stamp_ns: int) -
         return 0.0
     moved = _lookup(buffer, frame, "base_footprint", stamp_ns)
     return 0.0 if moved is None else float(moved.translation[2])
-
-
-def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> Iterator[tuple[str, Rigid]]:
-    """Yield the frames above a frame that move with it, the nearest first."""
-    for name in buffer.above(frame):
-        if name in WORLDS or (moved := _lookup(buffer, name, frame, stamp_ns)) is None:
-            return
-        yield name, moved
 
 
 def _lookup(buffer: TransformBuffer, target: str, source: str, stamp_ns: int) -> Rigid | None:
@@ -468,7 +463,9 @@ def suitable_heights(
             floor = recorded
     top = math.inf if ceiling is None else ceiling - _BELOW_CEILING
     if floor is None:
-        return _around(z, sensor, top)
+        heights = _around(z, sensor, top)
+        text = f"the sensor is {recorded - sensor:.2f} m below base_footprint by its transform: how high is it?"
+        return heights._replace(doubt=text) if recorded and sensor < recorded else heights
     low, high, doubt = floor + least, min(floor + _HIGH, top), ""
     shown = "no scan is proposed; `pc2scan view` shows them"
     if high - low < _THINNEST:
