@@ -74,6 +74,7 @@ WORLDS = {
     "no mount, no floor": (World(CELL, (), "16 rings", at(1.7), has_mount=False, odometry=""), "no floor is visible"),
     "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
     "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "is upside down"),
+    "two rings that turn the wrong way": (World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), "sharp"),
 }
 
 
@@ -86,12 +87,6 @@ def test_a_proposed_command_sees_what_is_there(name: str, tmp_path: Path) -> Non
     assert (found.word, "warning" in found.text) == ("right", bool(said)), found
 
 
-TOLD = {
-    "info: warning: /points: surroundings are": World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0),
-    "the robot moves, and nothing says how": World(HALL, DESKS, "sparse", at(0.5), "drives", odometry=""),
-}
-
-
-@pytest.mark.parametrize("said", TOLD)
-def test_what_blurs_scans_is_said_before_they_are_made(said: str, tmp_path: Path) -> None:
-    assert said in outcome(TOLD[said], tmp_path).text
+def test_what_blurs_scans_is_said_before_they_are_made(tmp_path: Path) -> None:
+    world = World(HALL, DESKS, "sparse", at(0.5), "drives", odometry="")
+    assert "the robot moves, and nothing says how" in outcome(world, tmp_path).text

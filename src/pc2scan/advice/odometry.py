@@ -215,7 +215,8 @@ class _Seen(NamedTuple):
     def of_walls(self) -> _Seen:
         """Return what is seen of walls, and where it is in the fixed frame."""
         here = self.placed()
-        walls = _are_walls(here)
+        # What one ring shows is nearly all walls.
+        walls = _are_walls(here) if np.ptp(self.points[:, 2]) > _TALL else np.isfinite(here[:, 2])
         return self._replace(points=self.points[walls], seconds=self.seconds[walls], here=here[walls])
 
     def smoothed(self) -> _Seen:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import Counter
 from contextlib import ExitStack, suppress
@@ -19,6 +20,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
 from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import CloudSample
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
@@ -33,7 +35,7 @@ from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY, mount_text
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
-from pc2scan.transforms.mounting import unit_warning
+from pc2scan.transforms.mounting import static_tf_of, unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
 from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
@@ -447,14 +449,19 @@ class _SurveyResult:
         return own, True
 
     def on_robot(self, lidar: Lidar, warnings: list[str]) -> Lidar:
-        """Return a lidar with a place on the robot; one that no transform has is warned of.
+        """Return a lidar with a place on the robot; of one that no transform has, or a wrong one, it is warned.
 
-        Then it is as if above the robot's frame, looking ahead, upright or upside down as it turns.
+        Then it is as if above the robot's frame, looking ahead, upright or upside down as it turns; or turned over.
         """
         own, buffer, frame = lidar.mounting, self.buffer, lidar.mounting.frame.removeprefix("/")
         body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
-        if buffer is None or not (body and frame) or self.places.target_frame or lidar.transform(body, frame):
+        if buffer is None or self.places.target_frame or lidar.is_registered:
             return lidar
+        mount = lidar.transform(body, frame) if body and frame else Rigid.identity()
+        if mount is not None:
+            doubt = turned_over(lidar.topic, lidar.clouds_in(lidar.world)) if lidar.motion(0.1) else ""
+            warnings += filter(None, [doubt])
+            return self._turned(lidar, body, mount) if doubt and buffer.is_rigid(body, frame) else lidar
         if self._has_transforms:
             warnings.append(f"{lidar.topic}: no transform connects {frame!r} with {body}: {mount_text(frame, [body])}")
         if self._robot is None or buffer.above(frame):
@@ -466,12 +473,21 @@ class _SurveyResult:
             placed = self._assumed(lidar, self._robot, body, up)
         return placed
 
+    def _turned(self, lidar: Lidar, body: str, mount: Rigid) -> Lidar:
+        """Return a lidar that is mounted the other way up, if its clouds do not show how it is mounted."""
+        static = static_tf_of(body, lidar.mounting.frame, mount.compose(Rigid.from_rpy(math.pi, 0.0, 0.0)))
+        if self._robot is None or lidar.mounting.static_tf or not static:
+            return lidar
+        buffer = self._robot.reading.with_static([static])
+        mounting = lidar.facts.mounting(self.places, buffer, 0.0) or lidar.mounting
+        return replace(lidar, buffer=buffer, mounting=mounting._replace(target_frame=body, static_tf=static, fault=""))
+
     def _assumed(self, lidar: Lidar, robot: RobotTransforms, body: str, up: float = 1.0) -> Lidar:
         own, height = lidar.mounting, lidar.mounting.ground.height * (not lidar.mounting.static_tf)
         roll = "0" if own.static_tf or up > 0 else "3.1416"
         assumed = f"{body} {own.target_frame or own.frame.removeprefix('/')} 0 0 {height:.3g} {roll} 0 0"
-        buffer = robot.reading.with_static(filter(None, (own.static_tf, assumed)))
-        return replace(lidar, buffer=buffer, assumed=assumed)
+        added = filter(None, (own.static_tf, assumed))
+        return replace(lidar, buffer=robot.reading.with_static(added), assumed=assumed)
 
     def _judged(self, facts: TopicFacts, frame: str, up: float = 0.0) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places

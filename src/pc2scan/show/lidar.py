@@ -359,11 +359,9 @@ class Lidar:
         return stamp_ns + self.middle_ns, points[:3]
 
     def clouds_in(self, fixed: str) -> list[tuple[Rigid, NDArray[np.floating[Any]]]]:
-        """Return the transforms of the spread clouds to a frame that does not move, and their finite points, (N, 3)."""
-        places = [
-            (self.transform(fixed, self.mounting.frame, stamp_ns), points[:3].T) for stamp_ns, points in self.clouds
-        ]
-        return [(place, xyz[np.isfinite(xyz).all(axis=1)]) for place, xyz in places if place is not None]
+        """Return the transforms of the spread clouds to a frame that does not move, and their returns, (N, 3)."""
+        places = [(self.transform(fixed, self.mounting.frame, stamp_ns), points) for stamp_ns, points in self.clouds]
+        return [(place, _returns(points[:3]).T) for place, points in places if place is not None]
 
     def in_target(self, points: NDArray[np.floating[Any]], frame: str = "", stamp_ns: int = 0) -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3): of `clouds`, if none is given."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.advice.clocks import measure_together
-from pc2scan.advice.odometry import odometry_of, tilts, turned_over
+from pc2scan.advice.odometry import odometry_of, tilts
 from pc2scan.bags.destinations import default_destination
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.scene import ONE_FLOOR, sectors_of
@@ -424,14 +424,11 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
 def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
     for lidar in lidars:
-        if (buffer := lidar.buffer) is None:
-            continue
-        motion = lidar.motion(0.1)
-        # Frames that are the wrong way round move nothing.
-        fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
-        yield odometry_of(buffer, fixed, lidar.mounting.frame).doubt
-        if motion is not None and lidar.mounting.judged_in == lidar.mounting.frame and not lidar.is_registered:
-            yield turned_over(lidar.topic, lidar.clouds_in(fixed))
+        if (buffer := lidar.buffer) is not None:
+            motion = lidar.motion(0.1)
+            # Frames that are the wrong way round move nothing.
+            fixed = motion.fixed if motion is not None else next(filter(buffer.frames.__contains__, WORLDS), "")
+            yield odometry_of(buffer, fixed, lidar.mounting.frame).doubt
 
 
 def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
