@@ -383,11 +383,12 @@ class Ground(NamedTuple):
         on_it = ranges[np.abs(points @ np.array(self.normal) + self.height) < tolerance]
         at = np.abs(points[:, 2] + height) < tolerance
         # What is also seen where the transforms say is the floor that the robot stands on.
-        is_floor = on_it.size > _LARGE_FLOOR * len(points) >= at.sum()
+        is_large = at.sum() > _LARGE_FLOOR * len(points)
+        is_floor = on_it.size > _LARGE_FLOOR * len(points) and not is_large
         is_floor = is_floor and percentiles(on_it, 10)[0] < _FARTHEST * self.height
         if self.height > height and on_it.size > _MOST_BELOW * len(points):
             # Nothing is seen through a floor, which is nearer than what is below it.
-            is_seen = at.any() and _is_surface(points, at, tolerance, height, -1)
+            is_seen = at.any() and (is_large or _is_surface(points, at, tolerance, height, -1))
             is_floor = not is_seen or percentiles(on_it, 10)[0] < percentiles(ranges[at], 10)[0]
         return self if is_floor else self._replace(up=None, height=0.0, rough=0.0)
 
@@ -718,8 +719,9 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
     floor = min(floors, key=lambda floor: floor.tilt)
     on_it = np.abs(points @ np.array(floor.normal) + floor.height) < tolerances(points)
     there = np.abs(points[:, 2] + height) < tolerances(points)
-    # What is seen where the transform says is the floor.
-    return floor if there.sum() <= max(_LARGE_FLOOR * len(points), on_it.sum()) else None
+    # What is seen where the transform says is the floor, and what is only seen from afar may be a ring on walls.
+    is_near = on_it.any() and percentiles(np.linalg.norm(points[on_it], axis=1), 10)[0] < _FARTHEST * floor.height
+    return floor if is_near and there.sum() <= max(_LARGE_FLOOR * len(points), on_it.sum()) else None
 
 
 def _slanted(planes: Sequence[Plane]) -> Ground:
