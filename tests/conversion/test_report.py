@@ -26,7 +26,7 @@ TABLES = Path(__file__).with_name("reports.txt")
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
     """A checked report of one topic with these counts of points and scans."""
-    names = ("messages_out", "empty_scans", "advice", "longest_gap_s", "removed_beams")
+    names = ("messages_out", "empty_scans", "advice", "longest_gap_s", "removed_beams", "is_level")
     own = {name: counts.pop(name) for name in names if name in counts}
     moved: dict[str, Any] = (
         {"deskew": True, "fixed_frame": "odom"} if {"no_time", "no_transform"} & counts.keys() else {}

@@ -100,6 +100,8 @@ class TopicReport:
     no_returns
         The share of points that are outside the heights, and at (0, 0, 0), as drivers write for no return; of the first
         clouds.
+    is_level
+        Whether the first clouds have a level floor, and the heights suit it.
     stamps
         The stamps of what was converted.
     spec
@@ -125,6 +127,7 @@ class TopicReport:
     scan: str = ""
     tilts: list[float] = field(default_factory=list, repr=False)
     no_returns: float = field(default=0.0, compare=False, repr=False)
+    is_level: bool = field(default=False, compare=False, repr=False)
     stamps: StampCounts = field(default_factory=StampCounts, compare=False, repr=False)
     spec: ScanSpec | None = field(default=None, compare=False, repr=False)
 

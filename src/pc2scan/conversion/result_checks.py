@@ -154,8 +154,11 @@ def unordered_stamps(topic: TopicReport, *_: object) -> Iterator[Remark]:
 
 
 def scans_without_return(topic: TopicReport, spec: ScanSpec, report: Report) -> Iterator[Remark]:
-    """Yield a warning that names the cause of scans without returns."""
-    yield warning(f"{_empty(topic)} at all: {_blame(topic, spec, report.rejections)}")
+    """Yield a warning that names the cause of scans without returns; a note if these are of nothing but floor."""
+    removed = sum(topic.points.rejected.get(name, 0) for name in ("height", "ground", "min_height_slope"))
+    is_floor = topic.is_level and 2 * removed > topic.points.total
+    why = "nothing but level floor is within the heights" if is_floor else _blame(topic, spec, report.rejections)
+    yield (note if is_floor else warning)(f"{_empty(topic)} at all: {why}")
 
 
 def _empty(topic: TopicReport) -> str:

@@ -88,11 +88,14 @@ class Judgement(NamedTuple):
         Options with heights that suit the clouds; empty if none are needed.
     no_returns
         The share of points that are outside the heights, and no returns.
+    is_level
+        Whether a level floor is visible, and the heights suit it.
     """
 
     warnings: Sequence[str]
     advice: str = ""
     no_returns: float = 0.0
+    is_level: bool = False
 
 
 def are_enough(facts: CloudFacts) -> bool:
@@ -116,6 +119,6 @@ def judge(facts: CloudFacts) -> Judgement:
         no_returns = facts.no_returns / max(facts.total.total, 1)
         findings = found_by(FIRST_CLOUDS, facts, label)
         if facts.are_fine and not findings:
-            return Judgement(warnings, no_returns=no_returns)
+            return Judgement(warnings, no_returns=no_returns, is_level=facts.is_level)
         warnings += (*found_by(FRAME, facts), *findings)
         return Judgement(warnings, facts.advice, no_returns)

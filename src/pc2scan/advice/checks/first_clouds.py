@@ -342,9 +342,10 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
         names = ("min_height", "max_height") if reason == "height" else (f"{reason}_min", f"{reason}_max")
         what = f"z in {clouds.samples[0].judged_in!r}" if reason == "height" else f"the {reason}"
         unit = "rad" if reason == "angle" else "m"
+        first, middle, last = percentiles(values, 5, 50, 95)
         descriptions[reason] = (
             f"{names[0]} is {_limit(low, unit)} and {names[1]} {_limit(high, unit)}, but {what} is "
-            f"{_percentiles(values, unit)}"
+            f"{first:.2f} to {last:.2f} {unit} (5 and 95 %; median {middle:.2f})"
         )
         if not ((values >= low) & (values <= high)).any():
             alone.append(reason)
@@ -355,8 +356,8 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
         parts[0] += f": {clouds.advice}"
     # Without any, the reason is a filter, or NaN: the report has it at the end.
     if parts:
-        first = f"the first {counted(len(clouds.samples), 'cloud')}" if clouds.samples[1:] else "the first cloud"
-        share = f"{counts.used:,} of the {counts.total:,} points of {first} are used"
+        which = f"the first {counted(len(clouds.samples), 'cloud')}" if clouds.samples[1:] else "the first cloud"
+        share = f"{counts.used:,} of the {counts.total:,} points of {which} are used"
         yield f"{clouds.topic}: {share}; {'; '.join(parts)}"
 
 
@@ -437,8 +438,3 @@ def _limit(value: float, unit: str) -> str:
     if value == ProjectionParams().min_height:
         return f"above 0 {unit}"
     return "without limit" if abs(value) > 1e300 else f"{value:g} {unit}"
-
-
-def _percentiles(values: NDArray[np.float64], unit: str) -> str:
-    low, middle, high = percentiles(values, 5, 50, 95)
-    return f"{low:.2f} to {high:.2f} {unit} (5 and 95 %; median {middle:.2f})"
