@@ -139,9 +139,8 @@ class Clocks:
         motion = moving(connections, survey.frames.tf_topics) if compared is None else compared
         self._motion = _observers(motion, survey.span)
         own = {facts.topic for facts in self._topics}
-        others = (other for other in of_types(connections, STAMPED) if other.ros_version is not None)
-        others = (other for other in others if other.topic not in own and compared is None)
-        self._others = _observers(others, survey.span)
+        others = [other for other in of_types(connections, STAMPED) if other.ros_version and other.topic not in own]
+        self._others = _observers(others if compared is None else (), survey.span)
         survey.observers += (*self._motion.values(), *self._others.values())
 
     def warnings(self) -> list[str]:

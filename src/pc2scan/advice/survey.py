@@ -16,12 +16,12 @@ from pc2scan.bags.topics import by_topic
 from pc2scan.core.layout import TURN
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.scene import PARTS, CloudSample, are_enough, far_away, gathered
+from pc2scan.core.scene import PARTS, CloudSample, are_enough
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import SCANS, decoded
 from pc2scan.transforms.attitude import ImuReading
 from pc2scan.transforms.frames import BODIES, WORLDS
-from pc2scan.transforms.mounting import mounting, unit_warning
+from pc2scan.transforms.mounting import mounting
 from pc2scan.transforms.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 #: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
 _ABOVE_ROBOT = 0.5
+
+#: Transforms begin so much later than clouds, nanoseconds; and how many packets are sampled until then.
+_LATE_NS, _MOST_SAMPLES = 1_000_000_000, 400
 
 _Value = TypeVar("_Value")
 
@@ -73,13 +76,19 @@ class Fact(Generic[_Value]):
     are_enough: Callable[[Sequence[_Value]], bool] | None = field(default=None, compare=False)
 
 
+def are_long(samples: Sequence[CloudSample]) -> bool:
+    """Whether the first clouds show how a sensor is mounted, even if transforms begin later."""
+    return len(samples) >= PARTS and abs(samples[-1].stamp_ns - samples[0].stamp_ns) >= _LATE_NS
+
+
 def _are_enough(samples: Sequence[CloudSample]) -> bool:
-    """Whether the first clouds show how a sensor is mounted; those in a world's frame may lack transforms."""
-    return bool(samples) and samples[0].frame_id.removeprefix("/") not in WORLDS and are_enough(samples)
+    """Whether the first clouds show how a sensor is mounted; those in a world's frame depend on transforms."""
+    is_placed = bool(samples) and samples[0].frame_id.removeprefix("/") in WORLDS
+    return are_long(samples) if is_placed else are_enough(samples)
 
 
 #: Samples of points.
-SAMPLES = Fact(lambda points, _: CloudSample.of(points), PARTS, are_enough=_are_enough)
+SAMPLES = Fact(lambda points, _: CloudSample.of(points), _MOST_SAMPLES, are_enough=_are_enough)
 
 
 def placed_sample(sample: CloudSample, place: Placement) -> CloudSample:
@@ -135,6 +144,9 @@ def _header(own: Points | LaserScan, message: RawMessage) -> Header:
     return Header(time_ns, own.stamp_ns, own.frame_id, increment=increment, turn=turn)
 
 
+_HEADERS = Fact(_header, 1)
+
+
 class TopicFacts:
     """What the first messages of a topic show.
 
@@ -151,7 +163,7 @@ class TopicFacts:
         self.connections = connections
         self._span = span
         self._clouds = [connection for connection in connections if connection.ros_type not in SCANS]
-        # By `Fact`; the headers, which LaserScans have as well, by `Header`.
+        # By `Fact`.
         self._observers: dict[Hashable, Observer[Any]] = {}
 
     @property
@@ -161,27 +173,23 @@ class TopicFacts:
 
     def ask_headers(self, most: int) -> None:
         """Ask for the headers of so many messages."""
-        self._ask(Header, _header, most, self.connections)
+        self._ask(_HEADERS, most, self.connections)
 
     def ask_last_headers(self, start_ns: int, most: int) -> None:
         """Ask for the headers of so many messages from a log time on."""
-        span = self._span
-        start_ns = start_ns if span.start_ns is None else max(start_ns, span.start_ns)
-        last = Observer(self.connections, _header, most, start_ns, span.stop_ns, decoded)
+        last = Observer(self.connections, _header, most, start_ns, self._span.stop_ns, decoded)
         self._observers["last headers"] = last
 
     def ask(self, fact: Fact[Any]) -> None:
         """Ask for a fact about the first clouds; its observer begins at the first call."""
-        observer = self._ask(
-            fact, lambda points, message: fact.take(points, message, *fact.given), fact.most, self._clouds
-        )
+        observer = self._ask(fact, fact.most, self._clouds)
         if (are_enough := fact.are_enough) is not None:
             observer.is_needless = lambda: are_enough(observer.values)
 
     @property
     def headers(self) -> Sequence[Header]:
         """The headers, in the order of log time: as many as any caller of `ask_headers` wants."""
-        return self._observers[Header].values
+        return self._observers[_HEADERS].values
 
     @property
     def last_headers(self) -> Sequence[Header]:
@@ -225,14 +233,10 @@ class TopicFacts:
         clouds = self.samples(placer)
         return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer, up) if clouds else None
 
-    def unit_warning(self) -> str:
-        """Return the warning that the clouds are in another unit than metres; empty if not, or in a world's frame."""
-        distance = next((far_away(sample.points) for sample in gathered(self.values(SAMPLES))), 0.0)
-        return unit_warning(self.topic, distance) if distance and self.frame.removeprefix("/") not in WORLDS else ""
+    def _ask(self, fact: Fact[Any], most: int, connections: Sequence[Connection]) -> Observer[Any]:
+        def take(own: Points | LaserScan, message: RawMessage) -> Any:
+            return fact.take(own, message, *fact.given)
 
-    def _ask(
-        self, fact: Hashable, take: Callable[..., Any], most: int, connections: Sequence[Connection]
-    ) -> Observer[Any]:
         new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns, decoded)
         observer = self._observers.setdefault(fact, new)
         observer.most = max(observer.most or 0, most)

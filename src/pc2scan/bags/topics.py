@@ -1,18 +1,22 @@
-"""Topics of a recording: found by the names that users give, and those whose messages stay valid until the next one."""
+"""Topics of a recording: found by the names that users give, how many messages they have, and whose stay valid."""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TopicError, UsageError, name_list
+from pc2scan.model import declared_counts
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from pc2scan.model import Connection
+
+    from .reader import Reader
 
 #: Begins with a word that is found as such: profiles may be many, and long.
 _TRANSIENT_LOCAL = r"""durability(?<!\wdurability)["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b"""
@@ -188,3 +192,18 @@ def unheard(connections: Iterable[Connection]) -> list[tuple[str, str]]:
         (f"{topic}: {what}", f"{cure} '{topic}: {{durability: transient_local, history: keep_all}}'")
         for topic in topics
     ]
+
+
+def message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
+    """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
+    summary, counts = reader.summary, Counter[int]()
+    if summary.end_ns is not None and not reader.damage:
+        known = Counter(declared_counts(reader.connections))
+        if len(known) == len(reader.connections):
+            return known, summary.start_ns, summary.end_ns
+    start_ns = end_ns = None
+    for message in reader.messages():
+        counts[message.connection.id] += 1
+        end_ns = message.log_time_ns
+        start_ns = end_ns if start_ns is None else start_ns
+    return counts, start_ns, end_ns

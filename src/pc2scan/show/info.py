@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,20 +13,20 @@ from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks, last_point_ns
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.odometry import turned_over
-from pc2scan.advice.survey import SAMPLES, Span, Survey
+from pc2scan.advice.survey import SAMPLES, Span, Survey, are_long
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.topics import by_topic, find_topics, types_by_topic
+from pc2scan.bags.topics import by_topic, find_topics, message_counts, types_by_topic
 from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.scene import CloudSample
+from pc2scan.core.scene import CloudSample, far_away
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.other_clouds import instead_of_clouds
 from pc2scan.messages.tfmessage import TF_TYPES
-from pc2scan.model import copied_message, declared_counts, of_types
+from pc2scan.model import copied_message, of_types
 from pc2scan.parsing import OF_FRAMES, frames_of
 from pc2scan.request.point_time import PointTime
 from pc2scan.result import Call, Part, Result
@@ -38,11 +37,12 @@ from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import static_tf_of, unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
-from .lidar import EDGE_NS, HEADERS, Lidar, ask_facts, stamp_faults
+from .lidar import EDGE_NS, HEADERS, POINTS, Lidar, ask_facts, stamp_faults
 from .proposals import odometry_doubts, proposals
 from .topic_content import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describe_clouds, sample_cloud
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
@@ -266,7 +266,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
     """
     with ExitStack() as stack:
         reader = scaled(as_one(readers), options.cloud_scale)
-        counts, start_ns, end_ns = _message_counts(reader)
+        counts, start_ns, end_ns = message_counts(reader)
         recorded = reader.summary._replace(start_ns=start_ns, end_ns=end_ns)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
         given: Mapping[str, Any] = options.among({*OF_FRAMES, "cloud_scale"})
@@ -278,29 +278,22 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             # Cameras and lidars count in millimetres; the warning has the other reading.
             reader, given = scaled(reader, 0.001), {**given, "cloud_scale": 0.001}
             surveyed = surveyed_by(Survey(reader, others, frames, span))
-        clocks = surveyed.clocks
-        # Only by corrected stamps is it known where the robot was.
-        for topic, clock in clocks.items():
-            # A cloud is logged after its last point.
-            offset_ns = clock.offset_ns - last_point_ns(surveyed.facts[topic])
-            for values in (surveyed.clouds[topic], *(observer.values for observer in surveyed.facts[topic].observers)):
-                values[:] = [_moved(value, offset_ns) for value in values]
-        warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in clocks.values())]
+        warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in surveyed.clocks.values())]
         warnings += (*first.unit_warnings, *surveyed.warnings)
         clouds, lidars = list[CloudInfo](), list[Lidar]()
         for topic, own in surveyed.clouds.items():
-            mounting, is_own = surveyed.mounting(topic)
+            mounting, is_own = surveyed.mountings[topic]
             cloud, placed = describe_clouds(topic, own, surveyed.places)
             clouds.append(cloud)
             if not placed or mounting is None:
                 warnings.append(f"{topic}: no command is proposed: none of its first clouds can be placed")
                 continue
             if mounting.heights is None and cloud.limits and not first.unit_warnings:
-                warnings.append(unit_warning(topic))
+                warnings.append(unit_warning(topic, far_away(mounting.samples[0])))
             # Where the robot moves in the frame of these points, its own body is not at one place.
-            parts, has_zeros = [(cloud.stamp_ns, cloud.points) for cloud in placed if is_own], bool(cloud.zero_share)
-            of_robot = recorded, reader.connections, surveyed.known_ns, clocks.get(topic), surveyed.ups
-            lidar = Lidar(surveyed.facts[topic], mounting, surveyed.buffer, parts, has_zeros, *of_robot)
+            few = [(own.stamp_ns, own.points[:, :: -(-own.points.shape[1] // POINTS) or 1]) for own in placed if is_own]
+            of_robot = recorded, reader.connections, surveyed.known_ns, surveyed.clocks.get(topic), surveyed.ups
+            lidar = Lidar(surveyed.facts[topic], mounting, surveyed.buffer, few, bool(cloud.zero_share), *of_robot)
             lidars.append(surveyed.on_robot(lidar, warnings))
             clouds[-1] = replace(cloud, mounting=lidars[-1].mounting._replace(samples=()))
         instead = instead_of_clouds(reader.connections)
@@ -375,6 +368,8 @@ class _SurveyResult:
         The direction of up by each IMU that knows it.
     clocks
         What is wrong with the clocks of topics.
+    mountings
+        Of each topic with clouds, by `mounting`.
     warnings, unit_warnings
         About transforms and stamps, and about units.
     known_ns
@@ -394,7 +389,7 @@ class _SurveyResult:
         for facts in self.facts.values():
             facts.ask_headers(HEADERS)
             # The first clouds may lack transforms.
-            facts.ask(replace(SAMPLES, are_enough=None) if moved else SAMPLES)
+            facts.ask(replace(SAMPLES, are_enough=are_long) if moved else SAMPLES)
         for facts in clouds.values():
             ask_facts(facts, end_ns or 0)
         clocks = Clocks(survey, clouds.values())
@@ -422,7 +417,12 @@ class _SurveyResult:
                 until_ns = (end_ns or 0) - (0 if survey.robot.is_cut else EDGE_NS)
                 self.buffer, self.known_ns = buffer, (survey.span.first_ns + _FIRST * EDGE_NS, until_ns)
         self.clocks = clocks.findings()
-        self.unit_warnings = [warning for cloud in clouds.values() if (warning := cloud.unit_warning())]
+        # Only by corrected stamps is it known where the robot was.
+        for topic, clock in self.clocks.items():
+            # A cloud is logged after its last point.
+            offset_ns = clock.offset_ns - last_point_ns(clouds[topic])
+            for values in (self.clouds[topic], *(observer.values for observer in clouds[topic].observers)):
+                values[:] = [_moved(value, offset_ns) for value in values]
         self.warnings += filter(None, (increment_warning(scan) for scan in flat.values()))
         self.warnings += (text for topic_facts in self.facts.values() for text in stamp_faults(topic_facts))
         self.ups: dict[str, UpEstimate] = {}
@@ -431,6 +431,10 @@ class _SurveyResult:
                 self.ups[topic] = reading.up()
         buffer = self.buffer if moved else None
         self.places = Placer(target_frame, survey.frames.source_frame, buffer, ProjectionParams().tolerance_ns)
+        self.mountings = {topic: self.mounting(topic) for topic in self.clouds}
+        # How far a world's origin is from the sensor is not known.
+        known = [own for own, _ in self.mountings.values() if own and own.judged_in.removeprefix("/") not in WORLDS]
+        self.unit_warnings = [unit_warning(own.topic, far) for own in known if (far := far_away(own.samples[0]))]
 
     def mounting(self, topic: str, up: float = 0.0) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.
@@ -518,21 +522,6 @@ def _moved(value: Any, offset_ns: int) -> Any:
 def _file_info(reader: Reader) -> FileInfo:
     own = reader.summary
     return FileInfo(str(reader.path), own.container, own.storage, own.profile, own.compression, own.size_bytes)
-
-
-def _message_counts(reader: Reader) -> tuple[Counter[int], int | None, int | None]:
-    """Return messages by connection, and the first and the last log time; the messages are read only if necessary."""
-    summary, counts = reader.summary, Counter[int]()
-    if summary.end_ns is not None and not reader.damage:
-        known = Counter(declared_counts(reader.connections))
-        if len(known) == len(reader.connections):
-            return known, summary.start_ns, summary.end_ns
-    start_ns = end_ns = None
-    for message in reader.messages():
-        counts[message.connection.id] += 1
-        end_ns = message.log_time_ns
-        start_ns = end_ns if start_ns is None else start_ns
-    return counts, start_ns, end_ns
 
 
 def _topic_infos(

@@ -62,16 +62,18 @@ if TYPE_CHECKING:
 EDGE_NS = 1_000_000_000
 
 #: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
-#: shape of their rings, how many that have few points, and the largest of a pattern that is sparse, points.
+#: shape of their rings, and how many at most, and with so many points in all, of a pattern that is sparse.
 HEADERS = 21
 _LAST_HEADERS = 4_000
 _SHAPES = 3
 _MOST_CLOUDS = 100
 _SPARSE = 60_000
 
-#: How many clouds of a topic are tried, and how many points of each.
+#: How many clouds of a topic are tried, how many points of each are examined, what is just above the ground, metres,
+#: and every how many points are counted there.
 _CLOUDS = 3
-_POINTS = 30_000
+POINTS = 30_000
+_JUST_ABOVE, _SOME = 0.2, 10
 
 #: Clouds are packets if one has less than this share of the directions that several have: so many at least.
 _PART = 0.6
@@ -110,7 +112,7 @@ def stamp_faults(facts: TopicFacts) -> list[str]:
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32]:
     """Return copies of the returns of a small cloud, (4, N), with their times; none of a large one, or of a camera."""
     xyz = points.xyz()
-    if xyz[0].size > _SPARSE or xyz[0].ndim > 1:
+    if xyz[0].size > POINTS or xyz[0].ndim > 1:
         return np.empty((4, 0), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         columns = np.stack([np.ravel(axis).astype(np.float32) for axis in (*xyz, seconds_of(points))])
@@ -329,20 +331,31 @@ class Lidar:
         """Whether several clouds become one scan."""
         return bool(self.turn or self.pattern[0] > 1)
 
-    def tried_clouds(self, *, is_placed: bool) -> list[Points]:
+    @cached_property
+    def telling(self) -> Sequence[tuple[int, NDArray[np.floating[Any]]]]:
+        """Those of `clouds` with most points that stand, and just above the ground, which a robot that pitches sees."""
+        if self.mounting.heights is None or len(self.clouds) <= _CLOUDS:
+            return self.clouds
+        low, high = self.mounting.heights.low, self.mounting.heights.high
+        limits = (low, min(low + _JUST_ABOVE, high), high)
+        few = (self.in_target(xyz[:, ::_SOME], stamp_ns=at_ns)[:, 2] for at_ns, xyz in self.clouds)
+        lowest, highest = np.argsort([-np.histogram(z, limits)[0] for z in few], axis=0, kind="stable").T.tolist()
+        return [self.clouds[number] for number in dict.fromkeys((highest[0], *lowest))][:_CLOUDS]
+
+    def tried_clouds(self, *, is_placed: bool, is_levelled: bool) -> list[Points]:
         """Return clouds to try a command on, with stamps of their middles: the first ones if they are parts.
 
-        They are in the frame of the scans if they are to be placed, and otherwise in their own.
+        They are in the frame of the scans if they are to be placed, and otherwise in their own. If they are made level
+        then, their heights do not tell yet where the ground is.
         """
-        stamped, most, own = self.clouds, _CLOUDS, self.mounting
+        stamped, most, own = self.clouds if is_levelled else self.telling, _CLOUDS, self.mounting
         frame = own.frame if self.parts or self.is_registered else own.judged_in
         if self.parts:
             stamped = list(zip((header.stamp_ns for header in self.facts.headers), self.parts, strict=False))
-            most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * _POINTS // (self.parts[0].shape[1] + 1))
+            most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * POINTS // (self.parts[0].shape[1] + 1))
         clouds = []
         for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
-            few = _returns(recorded[:, :: -(-recorded.shape[1] // _POINTS) or 1])
-            at_ns, xyz = self._at_once(stamp_ns, few)
+            at_ns, xyz = self._at_once(stamp_ns, _returns(recorded))
             axes = self.in_target(xyz, frame, at_ns).T if is_placed else xyz
             clouds.append(Points(0, at_ns, self.target if is_placed else frame, dict(zip("xyz", axes, strict=True))))
         return [cloud for cloud in clouds if cloud.fields["x"].size]
@@ -388,9 +401,9 @@ def _are_of_camera(clouds: Sequence[NDArray[np.float32]]) -> bool:
     """Whether clouds, each (4, N), are of a camera, whose pixels are in few rows and columns; also without points."""
     x, y, z, _ = np.concatenate(clouds, axis=1)[:, :_PIXELS]
     with np.errstate(all="ignore"):
-        of_axes = (np.round(one / other, 4) for one, other in ((x, z), (y, z), (y, x), (z, x)))
+        of_axes = ((np.round(part / ahead, 4) for part in others) for ahead, others in ((z, (x, y)), (x, (y, z))))
         # Not `np.unique`, which imports NumPy's masked arrays.
-        return any(_A_ROW * (np.diff(np.sort(places)) > 0).sum() <= places.size for places in of_axes)
+        return any(all(_A_ROW * (np.diff(np.sort(part)) > 0).sum() <= part.size for part in parts) for parts in of_axes)
 
 
 def _view(points: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -509,7 +522,7 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     fixed = spec.fixed_frame if spec.level else lidar.world if lidar.parts and not is_placed else ""
     clouds: list[PlacedCloud] = []
     ways: list[Rigid] = []
-    for points in lidar.tried_clouds(is_placed=is_placed):
+    for points in lidar.tried_clouds(is_placed=is_placed, is_levelled=spec.level):
         # A cut leaves out those that cannot be placed.
         with suppress(TransformError):
             cloud = PlaceStep(placer)(points)

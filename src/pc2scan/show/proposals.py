@@ -195,6 +195,9 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
         if "ground" in added and way[1:] and way[:1] not in (done for _, _, done, _ in outcomes):
             continue
         after = [tried({**options, **added}, lidar) for lidar in group]
+        # Where nothing is left, nothing lies.
+        if not any(np.isfinite(trial.ranges).any() for trial in after):
+            continue
         lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
         if lying <= worst / 2 if "ground" in added else lying <= _LYING and missed <= _MISSED:
             # What is missed may be ground that is on no plane.

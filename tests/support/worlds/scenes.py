@@ -97,8 +97,8 @@ class World:
         The roll of the recorded mount, if it is not the true one, degrees.
     pair
         The frames of the odometry.
-    clock, late
-        Seconds by which the clock of its lidars is ahead, and after which odometry begins.
+    clock, late, unit
+        Seconds by which the clock of its lidars is ahead, and after which odometry begins; and their unit, metres.
     mounted_by
         The topic with mounts.
     """
@@ -118,6 +118,7 @@ class World:
     pair: tuple[str, str] = ("odom", "base_link")
     clock: float = 0.0
     late: float = -0.4
+    unit: float = 1.0
     mounted_by: str = "/tf_static"
 
     @property
@@ -215,7 +216,7 @@ class World:
             parts = SENSORS[self.sensor][1]
             for times, points in zip(np.split(turn.times, parts), np.split(turn.points, parts), strict=True):
                 stamp_ns = BEGIN_NS + round((times[0] + self.clock) * 1e9)
-                data = _cloud(self.placed_in or turn.name, stamp_ns, times - times[0], points)
+                data = _cloud(self.placed_in or turn.name, stamp_ns, times - times[0], points / self.unit)
                 rows.append((BEGIN_NS + round(times[-1] * 1e9) + 2_000_000, f"/{turn.name}", data))
         return write_rows(path, types, sorted(rows))
 
