@@ -214,30 +214,32 @@ def _has_neighbour_beside(cells: Cells, step: int) -> NDArray[np.bool_]:
 def _follow_ground(cells: Cells) -> NDArray[np.float64]:
     """Return the ground's height in the cells that continue it, (rings, sectors), NaN in others."""
     behind, far_behind = _lowest_behind(cells)
-    # The last cell of the ground; the one that slopes are measured from, the slope there, and the last kerb.
-    z0, r0, z1, r1, slope = (np.zeros(_SECTORS) for _ in range(5))
-    kerb = np.full(_SECTORS, -np.inf)
+    places = np.stack(cells[:2], axis=1).astype(np.float64)
+    # How much the ground rises at most to a cell: by a share of the distance, and in all.
+    share, most = np.where(cells.cluttered, 0.02, _STEEPEST), np.where(cells.cluttered, np.inf, _RISE)
+    # Height and distance of the last cell of the ground, and of the one that slopes are measured from.
+    last, begin = at = np.zeros((2, *places.shape[1:]))
+    slope, kerb = np.zeros(_SECTORS), np.full(_SECTORS, -np.inf)
     ground = np.full(cells.height.shape, np.nan)
     for ring in np.flatnonzero(np.isfinite(cells.height).any(axis=1)).tolist():
-        z, r, cluttered = (values[ring] for values in cells)
-        rise, over, apart, base = z - z0, z - z1, r - r0, r - r1
+        here = z, r = places[ring]
+        (rise, apart), (over, base) = here - at
         fall = _STEEPEST * base
-        most = np.where(cluttered, _NOISE + 0.02 * apart, np.minimum(_STEEPEST * apart + _NOISE, _RISE))
-        sloped = (over <= fall + _NOISE) & (rise <= most)
-        kerbed = (rise > 0) & (rise <= _STEP) & (r - kerb >= _BASE) & ~(cluttered | sloped)
+        sloped = (over <= fall + _NOISE) & (rise <= np.minimum(share[ring] * apart + _NOISE, most[ring]))
+        kerbed = (rise > 0) & (rise <= _STEP) & (r - kerb >= _BASE) & ~(cells.cluttered[ring] | sloped)
         kerbed &= (slope <= _STEEPEST / 2) & (over <= fall / 2 + (_STEP + _NOISE))
         # Where no ground is known yet, the top of an object may be seen before the ground in front of it.
-        goes_on = np.where(r0 > 0, behind[ring], far_behind[ring]) >= z - rise / 2
+        goes_on = np.where(last[1] > 0, behind[ring], far_behind[ring]) >= z - rise / 2
         goes_on |= (rise <= _NOISE) | (sloped & (over <= slope * base + _NOISE))
         # Comparisons with the height of a cell without points, which is inf or NaN, are false.
         taken = (over >= -fall - _STEP) & (sloped | kerbed) & goes_on
         kerbed &= taken
-        np.copyto(kerb, r, where=kerbed)
         # A kerb is not a slope, so slopes are measured from its top.
         risen = taken & (base >= _BASE) & ~kerbed
-        np.copyto(slope, np.clip(over / base, 0, _STEEPEST), where=risen)
-        for known, new, where in ((z1, z, kerbed | risen), (r1, r, kerbed | risen), (z0, z, taken), (r0, r, taken)):
-            np.copyto(known, new, where=where)
+        np.copyto(kerb, r, where=kerbed)
+        np.copyto(slope, np.minimum(np.maximum(over / base, 0), _STEEPEST), where=risen)
+        np.copyto(begin, here, where=kerbed | risen)
+        np.copyto(last, here, where=taken)
         np.copyto(ground[ring], z, where=taken)
     return ground
 
@@ -248,10 +250,12 @@ def _lowest_behind(cells: Cells) -> tuple[NDArray[np.float32], NDArray[np.float3
     The first cell beyond counts, too: objects hide what is behind them. Cells that are higher than a slope from here do
     not count, because they are obstacles. -inf if no cell counts.
     """
-    known = np.isfinite(cells.height)
     # The cells with points, from near to far.
-    order = np.argsort(~known, axis=0, kind="stable")[: int(known.sum(axis=0).max(initial=0))]
-    height, distance = (np.take_along_axis(grid, order, axis=0) for grid in (cells.height, cells.distance))
+    sector, ring = np.nonzero(np.isfinite(cells.height.T))
+    filled = np.bincount(sector, minlength=_SECTORS)
+    order = np.arange(sector.size) - (np.cumsum(filled) - filled)[sector]
+    height, distance = np.full((2, int(filled.max()), _SECTORS), np.inf, np.float32)
+    height[order, sector], distance[order, sector] = cells.height[ring, sector], cells.distance[ring, sector]
     reaches = np.full_like(distance, _ON), np.maximum(distance, np.float32(_ON))
     lowest = np.full((2, *height.shape), np.inf, np.float32)
     last = np.zeros_like(height)
@@ -265,8 +269,7 @@ def _lowest_behind(cells: Cells) -> tuple[NDArray[np.float32], NDArray[np.float3
         np.copyto(last[here], apart, where=counts)
     lowest[lowest == np.inf] = -np.inf
     by_cell = np.full((2, *cells.height.shape), -np.inf, np.float32)
-    for grid, low in zip(by_cell, lowest, strict=True):
-        np.put_along_axis(grid, order, low, axis=0)
+    by_cell[:, ring, sector] = lowest[:, order, sector]
     return by_cell[0], by_cell[1]
 
 
@@ -275,18 +278,16 @@ def _heights_at(
 ) -> NDArray[np.float64]:
     """Return the ground's height at the edges of cells, (rings + 1, sectors); -inf where it is unknown."""
     rings, sectors = ground.shape
-    known, number = ~np.isnan(ground), np.arange(rings)[:, np.newaxis]
+    known, number, sector = ~np.isnan(ground), np.arange(rings)[:, np.newaxis], np.arange(sectors)
     # The last cell before each edge, or -1, and the first one behind it, or the number of rings. Both stand for the
     # place beneath the robot, where the line before the first cell begins.
     begin, end = np.full((1, sectors), -1), np.full((1, sectors), rings)
     before = np.maximum.accumulate(np.concatenate([begin, np.where(known, number, -1)]), axis=0)
     after = np.minimum.accumulate(np.concatenate([np.where(known, number, rings), end])[::-1], axis=0)[::-1]
-    nothing = np.zeros((1, sectors))
-    heights, distances = np.concatenate([ground, nothing]), np.concatenate([distance, nothing])
-    z0, z1 = (np.take_along_axis(heights, ring, axis=0) for ring in (before, after))
-    r0, r1 = (np.take_along_axis(distances, ring, axis=0) for ring in (before, after))
+    places = np.concatenate([np.stack([ground, distance]), np.zeros((2, 1, sectors))], axis=1).reshape(2, -1)
+    (z0, r0), (z1, r1) = (places.take(ring * sectors + sector, axis=1) for ring in (before, after))
     along = edges[:, np.newaxis]
-    edge_heights = np.where(after < rings, (z1 - z0) / (r1 - r0) * (along - r0) + z0, z0)
+    edge_heights: NDArray[np.float64] = np.where(after < rings, (z1 - z0) / (r1 - r0) * (along - r0) + z0, z0)
     # After the last cell the ground continues for some metres.
     last = before[-1]
     edge_heights[(along > edges[last + 1] + _BEYOND) | (last < 0)] = -np.inf

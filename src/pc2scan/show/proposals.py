@@ -96,7 +96,7 @@ def body_of(
         # What is lower may be grass.
         good = points[(points[:, 2] >= low + _CELL) & (points[:, 2] <= high)]
         for counts, size in (small, _CELL), (large, _LARGE):
-            cells = np.floor(good[np.abs(good).max(axis=1, initial=0.0) < _CELLS * size, :2] / size).astype(np.intp)
+            cells = np.floor(good[np.maximum(*np.abs(good.T[:2])) < _CELLS * size, :2] / size).astype(np.intp)
             places = (cells + _CELLS) @ (len(counts), 1)
             counts[:] += np.reshape(np.bincount(places, minlength=counts.size) > 0, counts.shape)
         ranges, direction = _polar(good - sensor)
