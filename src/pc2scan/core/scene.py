@@ -717,7 +717,7 @@ def floor_elsewhere(points: _Points, matrix: NDArray[np.float64], height: float,
     on_it = np.abs(points @ np.array(floor.normal) + floor.height) < tolerances(points)
     there = np.abs(points[:, 2] + height) < tolerances(points)
     # What is seen where the transform says is the floor, and what is only seen from afar may be a ring on walls.
-    is_near = on_it.any() and percentiles(np.linalg.norm(points[on_it], axis=1), 10)[0] < _FARTHEST * floor.height
+    is_near = on_it.any() and percentiles(_distances(points[on_it]), 10)[0] < _FARTHEST * floor.height
     return floor if is_near and there.sum() <= max(_LARGE_FLOOR * len(points), on_it.sum()) else None
 
 
