@@ -463,7 +463,9 @@ class _SurveyResult:
             return lidar
         mount = lidar.transform(body, frame) if body and frame else Rigid.identity()
         if mount is not None:
-            doubt = turned_over(lidar.topic, lidar.clouds_in(lidar.world)) if lidar.motion(0.1) else ""
+            # Packets show other surroundings each.
+            moves = lidar.motion(0.1) and not lidar.turn
+            doubt = turned_over(lidar.topic, lidar.clouds_in(lidar.world)) if moves else ""
             warnings += filter(None, [doubt])
             return self._turned(lidar, body, mount) if doubt and buffer.is_rigid(body, frame) else lidar
         if self._has_transforms:

@@ -187,10 +187,11 @@ def mounting(
     """
     clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
-    samples = [cloud.points for cloud in clouds]
-    transform = clouds[0].transform
+    samples, transform = [cloud.points for cloud in clouds], clouds[0].transform
     recorded = 0.0 if transform is None else _recorded_floor(buffer, judged_in, stamp_ns)
     ground = _believed(samples, origin_z - recorded) if recorded else common_ground([cloud.ground for cloud in clouds])
+    # In a world's frame, z points up.
+    ground = Ground("unknown") if ground.off and frame.removeprefix("/") in WORLDS else ground
     seen = Mounting(topic, frame, judged_in, ground, samples)
     if transform is not None:
         if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
