@@ -79,6 +79,8 @@ _OVERHEAD, _ONE_RING = 0.3, 0.9
 #: A floor, or a ceiling, is seen from nearer than so many times its distance; another plane may be a ring on walls.
 _FARTHEST = 12.0
 
+#: Ground that rises does so by so much, metres a metre.
+_LEAST_RISE, _STEEPEST_RISE = 0.03, 0.2
 #: Grass is at most so high above the height that matters, metres, which few returns in squares of so many metres are
 #: above. What is from so high above the lowest return in one up to so high, metres, stands there.
 _GRASS, _SQUARE, _GRASSY, _STANDS, _HANGS = 0.2, 0.5, 0.125, 0.3, 2.0
@@ -379,9 +381,8 @@ class Ground(NamedTuple):
         on_it = ranges[np.abs(points @ np.array(self.normal) + self.height) < tolerance]
         at = np.abs(points[:, 2] + height) < tolerance
         # What is also seen where the transforms say is the floor that the robot stands on.
-        is_large = at.sum() > _LARGE_FLOOR * len(points)
-        is_floor = on_it.size > _LARGE_FLOOR * len(points) and not is_large
-        is_floor = is_floor and percentiles(on_it, 10)[0] < _FARTHEST * self.height
+        is_large, is_floor = at.sum() > _LARGE_FLOOR * len(points), on_it.size > _LARGE_FLOOR * len(points)
+        is_floor = is_floor and not is_large and percentiles(on_it, 10)[0] < _FARTHEST * self.height
         if self.height > height and on_it.size > _MOST_BELOW * len(points):
             # Nothing is seen through a floor, which is nearer than what is below it.
             is_seen = at.any() and (is_large or _is_surface(points, at, tolerance, height, -1))
@@ -511,11 +512,16 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
     over = points[:, 2] - lowest[places]
     # The foot of what stands is no ground; the filter may take it for that.
     stands = np.bincount(places, (over > _STANDS) & (over < _HANGS)) > 0
-    ground = is_above & on_ground(*points.T) & ~stands[places]
+    followed = on_ground(*points.T)
+    ground = is_above & followed & ~stands[places]
+    # Few rings see nothing of the floor before a slope, so none is followed: it rises from below the robot's frame.
+    known = ground if followed.any() else is_above
     # Its plane goes on where it is not followed, if it hides what is below: beside a ramp, the floor is visible.
-    for plane in planes_of(cells_of(points[ground]))[:1] if ground.any() else ():
+    for plane in planes_of(cells_of(points[known]))[: 1 if followed.any() else None] if known.any() else ():
+        rises = plane.up[2] > 0 and _LEAST_RISE < math.tan(plane.tilt) < _STEEPEST_RISE
         off, near = points @ plane.up + plane.height, tolerances(points)
-        if np.sum((off < -near) & (points[:, 2] - off > low)) < _FEW_BEHIND * ground.sum():
+        below = (off < -near) & (points[:, 2] - off > low)
+        if (rises or followed.any()) and below.sum() < _FEW_BEHIND * known.sum():
             ground |= is_above & (np.abs(off) < near)
     return np.asarray(ground | (is_above & is_grass))
 
