@@ -467,7 +467,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
             tell(*judged.warnings)
             for entry in report.topics:
                 if entry.topic == topic and entry.spec is spec:
-                    _, entry.advice, entry.no_returns, entry.is_level = judged
+                    entry.advice, entry.no_returns, entry.is_level = judged.advice, judged.no_returns, judged.is_level
 
 
 def _samples(

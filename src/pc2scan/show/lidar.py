@@ -353,16 +353,15 @@ class Lidar:
         if self.parts:
             stamped = list(zip((header.stamp_ns for header in self.facts.headers), self.parts, strict=False))
             most = len(stamped) if self.merges else max(_CLOUDS, _CLOUDS * POINTS // (self.parts[0].shape[1] + 1))
-        clouds = []
+        clouds, motion = [], self.motion(self.duration) if self.duration else None
         for stamp_ns, recorded in stamped[:: -(-len(stamped) // most) or 1]:
-            at_ns, xyz = self._at_once(stamp_ns, _returns(recorded))
+            at_ns, xyz = self._at_once(stamp_ns, _returns(recorded), motion)
             axes = self.in_target(xyz, frame, at_ns).T if is_placed else xyz
             clouds.append(Points(0, at_ns, self.target if is_placed else frame, dict(zip("xyz", axes, strict=True))))
         return [cloud for cloud in clouds if cloud.fields["x"].size]
 
-    def _at_once(self, stamp_ns: int, points: NDArray[np.floating[Any]]) -> tuple[int, NDArray[np.floating[Any]]]:
+    def _at_once(self, stamp_ns: int, points: NDArray[Any], motion: SensorMotion | None) -> tuple[int, NDArray[Any]]:
         """Return the middle of a cloud's times, and its points, (3, N), as they are seen from where it is then."""
-        motion = self.motion(self.duration) if self.duration else None
         if motion is not None and len(points) > 3:
             cloud = Points(0, stamp_ns, self.mounting.frame, dict(zip((*"xyz", TIME), points, strict=True)))
             deskew = Deskew(Placer("", "", self.buffer, 0), motion.fixed, PointTime(), "middle")

@@ -427,11 +427,12 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
 def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
     """Yield what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
     for lidar in lidars:
-        if (buffer := lidar.buffer) is not None:
-            motion = lidar.motion(0.1)
-            # Frames that are the wrong way round move nothing.
-            fixed = motion.fixed if motion is not None else next(filter(buffer.frames.__contains__, WORLDS), "")
-            yield odometry_of(buffer, fixed, lidar.mounting.frame).doubt
+        if (buffer := lidar.buffer) is None:
+            continue
+        motion = lidar.motion(0.1)
+        # Frames that are the wrong way round move nothing.
+        fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
+        yield odometry_of(buffer, fixed, lidar.mounting.frame).doubt
 
 
 def _motion_that_stays(lidars: Iterable[Lidar]) -> Iterator[str]:
