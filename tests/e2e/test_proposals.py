@@ -42,6 +42,8 @@ WORLDS = {
     "level lidar at 1.5 m": (World(ROOM, DESKS, "32 even rings", at(1.5)), ""),
     "level lidar at 2 m, below the ceiling": (World(ROOM, DESKS, "16 rings", at(2.0)), ""),
     "Mid-360 in a hall": (World(HALL, DESKS, "mid-360", at(0.5)), ""),
+    "Mid-360 halfway up": (World(CELL, DESKS, "mid-360", at(1.3)), ""),
+    "Mid-360 halfway up, pitches": (World(CORRIDOR, (), "mid-360", at(1.25), "pitches"), ""),
     "Mid-360 in a corridor, no mount": (World(CORRIDOR, (), "mid-360", at(0.5), has_mount=False, odometry=""), ""),
     "packets": (World(ROOM, DESKS, "packets", at(0.6), "drives"), ""),
     "sparse pattern": (World(ROOM, DESKS, "sparse", at(0.7)), ""),
@@ -71,7 +73,7 @@ WORLDS = {
     "no mount, no floor": (World(CELL, (), "16 rings", at(1.7), has_mount=False, odometry=""), "no floor is visible"),
     "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
     "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "is upside down"),
-    "two rings that turn the wrong way": (World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), "sharp"),
+    "two rings that turn the wrong way": (World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), "is upside down"),
 }
 
 

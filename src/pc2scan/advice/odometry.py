@@ -410,24 +410,24 @@ def _clock_doubts(lead: str, other: str, pairs: Sequence[tuple[_Seen, _Seen]]) -
         )
 
 
-def turned_over(topic: str, clouds: Sequence[tuple[Rigid, NDArray[np.floating[Any]]]]) -> str:
-    """Return a warning if what a lidar sees from several places is sharper with the lidar turned over, or no text.
+def turns_upright(clouds: Sequence[tuple[Rigid, NDArray[np.floating[Any]]]]) -> float:
+    """Return 1 if what a lidar sees from several places is sharper than with the lidar turned over.
+
+    -1 if it is less sharp; 0 if nothing tells.
 
     Parameters
     ----------
-    topic
-        Its topic.
     clouds
         The transform to a frame that does not move of each cloud, and its points, (N, 3), in the frame of the lidar.
     """
     some = [points[:: 1 + len(points) // _OF_WINDOW] for _, points in clouds]
     if len(clouds) < 2:
-        return ""
+        return 0.0
     times = np.arange(float(len(clouds)))
     rows = np.array([[*rigid.matrix.ravel(), *rigid.translation] for rigid, _ in clouds])
     seen = _Seen(times, rows, np.concatenate(some), np.repeat(times, [len(points) for points in some])).of_walls()
-    gain = _gain([(seen.here, seen.turned_over())]) if len(seen.points) >= _FEWEST else 0.0
-    return f"{topic}: surroundings are {gain:.2g} {_IF_TURNED_OVER}" if gain > _SHARPER else ""
+    ways = [(seen.turned_over(), seen.here)] if len(seen.points) >= _FEWEST else []
+    return float(_gain(ways) > _SHARPER) - float(_gain([way[::-1] for way in ways]) > _SHARPER)
 
 
 def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
@@ -12,14 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks, last_point_ns
 from pc2scan.advice.measurements import increment_warning, time_warnings
-from pc2scan.advice.odometry import turned_over
+from pc2scan.advice.odometry import turns_upright
 from pc2scan.advice.survey import SAMPLES, Span, Survey, are_long
 from pc2scan.bags.observers import Observer, Spread
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic, find_topics, message_counts, types_by_topic
 from pc2scan.conversion.corrections import scaled
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import CloudSample, far_away
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics
@@ -34,7 +32,7 @@ from pc2scan.text import Table, count, counted, height_text, size, stamp
 from pc2scan.transforms.buffer import ADDS_ODOMETRY, mount_text
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
-from pc2scan.transforms.mounting import static_tf_of, unit_warning
+from pc2scan.transforms.mounting import unit_warning
 from pc2scan.transforms.placing import FrameOptions, Placer
 
 from .lidar import EDGE_NS, HEADERS, POINTS, Lidar, ask_facts, stamp_faults
@@ -453,40 +451,30 @@ class _SurveyResult:
         return own, True
 
     def on_robot(self, lidar: Lidar, warnings: list[str]) -> Lidar:
-        """Return a lidar with a place on the robot; of one that no transform has, or a wrong one, it is warned.
+        """Return a lidar with a place on the robot, upright or upside down as it turns.
 
-        Then it is as if above the robot's frame, looking ahead, upright or upside down as it turns; or turned over.
+        One that no transform has is as if above the robot's frame, looking ahead, and it is warned of.
         """
         own, buffer, frame = lidar.mounting, self.buffer, lidar.mounting.frame.removeprefix("/")
         body = next((name for name in BODIES if buffer is not None and name in buffer.frames), "")
         if buffer is None or self.places.target_frame or lidar.is_registered:
             return lidar
-        mount = lidar.transform(body, frame) if body and frame else Rigid.identity()
-        if mount is not None:
+        if not (body and frame) or lidar.transform(body, frame) is not None:
             # Packets show other surroundings each.
-            moves = lidar.motion(0.1) and not lidar.turn
-            doubt = turned_over(lidar.topic, lidar.clouds_in(lidar.world)) if moves else ""
-            warnings += filter(None, [doubt])
-            return self._turned(lidar, body, mount) if doubt and buffer.is_rigid(body, frame) else lidar
+            up = turns_upright(lidar.clouds_in(lidar.world)) if lidar.motion(0.1) and not lidar.turn else 0.0
+            if up < 0 or (up and own.static_tf):
+                return replace(lidar, mounting=self.mounting(lidar.topic, up)[0] or own)
+            return lidar
         if self._has_transforms:
             warnings.append(f"{lidar.topic}: no transform connects {frame!r} with {body}: {mount_text(frame, [body])}")
         if self._robot is None or buffer.above(frame):
             return lidar
         placed = self._assumed(lidar, self._robot, body)
-        if turned_over(lidar.topic, placed.clouds_in(placed.world)):
+        if turns_upright(placed.clouds_in(placed.world)) < 0:
             up = 1.0 if own.ground.kind == "upside-down" else -1.0
             lidar = replace(lidar, mounting=self.mounting(lidar.topic, up)[0] or own)
             placed = self._assumed(lidar, self._robot, body, up)
         return placed
-
-    def _turned(self, lidar: Lidar, body: str, mount: Rigid) -> Lidar:
-        """Return a lidar that is mounted the other way up, if its clouds do not show how it is mounted."""
-        static = static_tf_of(body, lidar.mounting.frame, mount.compose(Rigid.from_rpy(math.pi, 0.0, 0.0)))
-        if self._robot is None or lidar.mounting.static_tf or not static:
-            return lidar
-        buffer = self._robot.reading.with_static([static])
-        mounting = lidar.facts.mounting(self.places, buffer, 0.0) or lidar.mounting
-        return replace(lidar, buffer=buffer, mounting=mounting._replace(target_frame=body, static_tf=static, fault=""))
 
     def _assumed(self, lidar: Lidar, robot: RobotTransforms, body: str, up: float = 1.0) -> Lidar:
         own, height = lidar.mounting, lidar.mounting.ground.height * (not lidar.mounting.static_tf)
@@ -497,8 +485,13 @@ class _SurveyResult:
 
     def _judged(self, facts: TopicFacts, frame: str, up: float = 0.0) -> Mounting | None:
         places = self.places._replace(target_frame=frame, buffer=self.buffer) if frame else self.places
-        ups = (up.z_of(places.source_frame or facts.frame, self.buffer) for up in self.ups.values())
-        return facts.mounting(places, self.buffer, up or next(filter(None, ups), 0.0))
+        own = (places.source_frame or facts.frame).removeprefix("/")
+        above = [] if self.buffer is None else self.buffer.above(own)
+        body = next((name for name in BODIES if name in above), "")
+        # An IMU elsewhere on the robot does not say how the lidar is mounted.
+        imus = (imu for imu in self.ups.values() if not body or imu.frame.removeprefix("/") == own)
+        ups = (round(imu.z_of(body or own, self.buffer)) for imu in imus)
+        return facts.mounting(places, self.buffer, up or next(filter(None, ups), 0))
 
     def moving_frames(self, topic: str) -> Iterator[str]:
         """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""

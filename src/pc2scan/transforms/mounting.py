@@ -54,8 +54,9 @@ _LOW, _ROUGHEST, _HIGH, _BELOW_CEILING, _THINNEST = 0.1, 0.3, 1.5, 0.2, 0.3
 #: Without a floor: so far from the sensor's height, metres.
 _AROUND = 0.4
 
-#: The least share of the points that heights are judged by, and the largest below a floor that they do not show.
-_FEWEST_SHARE, _MOST_BELOW = 0.001, 0.05
+#: The least share of the points that heights are judged by, the largest below a floor that they do not show, and below
+#: one that is visible. No ceiling is lower than so much above the floor, metres.
+_FEWEST_SHARE, _MOST_BELOW, _FEW_BELOW, _LOWEST_CEILING = 0.001, 0.05, 0.02, 1.8
 
 #: What is nearer than this share of the farthest in a direction, so many degrees wide, is before a wall. So many cells
 #: of it may be noise. Lidars of robots are at most so high, metres.
@@ -183,25 +184,24 @@ def mounting(
     buffer
         The recording's transforms; None if there are none.
     up
-        How much z points up in the frame of the points by an IMU, -1 to 1; 0: not known.
+        1 if an IMU, or how the lidar turns, says that z points up: in the robot's frame by the recorded mount, without
+        one in the frame of the points; -1 if it points down; 0: not known.
     """
     clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples, transform = [cloud.points for cloud in clouds], clouds[0].transform
     recorded = 0.0 if transform is None else _recorded_floor(buffer, judged_in, stamp_ns)
-    ground = _believed(samples, origin_z - recorded) if recorded else common_ground([cloud.ground for cloud in clouds])
+    looks = [cloud.ground for cloud in clouds]
+    ground = common_ground(looks) if transform is None else _believed(samples, origin_z - recorded, max(up, 0.0))
     # In a world's frame, z points up.
     ground = Ground("unknown") if ground.off and frame.removeprefix("/") in WORLDS else ground
     seen = Mounting(topic, frame, judged_in, ground, samples)
     if transform is not None:
-        if elsewhere := _elsewhere(seen, judged_in, transform, samples, recorded):
-            return elsewhere
-        fault = _fault(ground) if ground.off else ""
-        if buffer and fault and ground.kind != "slanted" and (moved := _lookup(buffer, judged_in, frame, stamp_ns)):
-            return _corrected(seen, judged_in, moved, ground, samples, recorded)
+        if wrong := _wrong(seen, ground, judged_in, transform, recorded, max(up, 0.0)):
+            return wrong
         heights = suitable_heights(ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
-        return seen._replace(fault=fault, heights=heights)
-    if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns)):
+        return seen._replace(fault=_fault(ground) if ground.off else "", heights=heights)
+    if buffer is not None and (by_transforms := _by_transforms(seen, buffer, stamp_ns, up)):
         return by_transforms
     own = _by_clouds(seen)
     is_seen = bool(own.ground.height or own.ground.ceiling)
@@ -234,11 +234,10 @@ def _doubted(likely: Mounting, other: Mounting) -> Heights | None:
     """Return the heights of a mounting, with the question whether the sensor is mounted the other way."""
     if likely.heights is None or not (other.heights and other.heights.suit):
         return likely.heights
+    way, options = ("upright", "without `static_tf`,") if likely.static_tf else ("upside down", other.options)
     limits = f"`min_height={other.heights.low:g}` `max_height={other.heights.high:g}`"
-    doubt = f"is what seems the floor the ceiling, and the sensor upside down? if so, {other.options} {limits}"
-    if likely.static_tf:
-        doubt = f"is the sensor upside down? if not, {limits} without `static_tf` and `target_frame`"
-    return likely.heights._replace(doubt=f"no transform and no IMU says that z points up: {doubt}")
+    text = "no transform and no IMU says that z points up, and what seems the floor may be the ceiling"
+    return likely.heights._replace(doubt=f"{text}: is the sensor {way}? if so, {options} {limits}")
 
 
 def _may_be_ceiling(ground: Ground, samples: _Samples) -> bool:
@@ -264,12 +263,10 @@ def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: 
     return seen._replace(fault=_fault(seen.ground), target_frame=static and parent, static_tf=static, heights=heights)
 
 
-def _corrected(
-    seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, samples: _Samples, recorded: float
-) -> Mounting:
+def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, recorded: float) -> Mounting:
     """Return the mounting with the recorded transform rotated until the ground is level.
 
-    ``ground`` is the ground by the recorded transform; ``samples`` are in its axes; for ``recorded``, see
+    ``ground`` is the ground by the recorded transform; the samples are in its axes; for ``recorded``, see
     `suitable_heights`.
     """
     matrix, height = target_from_frame.matrix, float(target_from_frame.translation[2])
@@ -281,18 +278,19 @@ def _corrected(
     own = Ground("optical" if is_camera else "tilted", ground.up and (up[0], up[1], up[2]))
     roll, pitch, yaw = own.level_from_frame
     right = Rigid.from_rpy(roll, pitch, yaw + math.atan2(y, x), target_from_frame.translation)
-    moved = [right.rotation.apply(points @ matrix) for points in samples]
-    corrected = _believed(moved, height - recorded)
+    moved = [right.rotation.apply(points @ matrix) for points in seen.samples]
+    corrected = _believed(moved, height - recorded, 1.0)
     heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
     return _mounted_on(seen, target, right, heights)
 
 
-def _believed(samples: _Samples, height: float) -> Ground:
+def _believed(samples: _Samples, height: float, up: float) -> Ground:
     """Return the ground in a frame of which a transform says how high the sensor is; see `Ground.believed`."""
-    return common_ground([find_ground(points).believed(points, height) for points in samples])
+    ground = common_ground([find_ground(points).believed(points, height) for points in samples])
+    return Ground("unknown") if ground.off and _is_ceiling(ground, samples, height, up) else ground
 
 
-def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
+def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int, up: float) -> Mounting | None:
     """Return what the transforms say about the frame; None if they neither help nor contradict."""
     ground, body = seen.ground, _body(buffer, seen.frame, stamp_ns)
     if body is None:
@@ -304,24 +302,23 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
                 heights = suitable_heights(ground, seen.samples, moved)
                 return seen._replace(fault=_fault(ground), target_frame=name, heights=heights)
         return None
-    name, body_from_frame = body
+    name, mount = body
+    body_from_frame = mount.compose(Rigid.from_rpy(math.pi, 0.0, 0.0)) if up < 0 else mount
     recorded = _recorded_floor(buffer, name, stamp_ns)
     height = float(body_from_frame.translation[2]) - recorded
     samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
-    body_ground = _believed(samples, height)
+    body_ground = _believed(samples, height, up)
     ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
-    if elsewhere := _elsewhere(seen._replace(ground=body_ground), name, body_from_frame, samples, recorded):
-        return elsewhere
-    if body_ground.off:
-        # The transform tilts the frame, so it is wrong.
-        placed = seen if ground.off else seen._replace(ground=body_ground)
-        is_known = "slanted" not in {body_ground.kind, ground.kind}
-        return _corrected(placed, name, body_from_frame, body_ground, samples, recorded) if is_known else None
+    placed = seen._replace(ground=ground if ground.off else body_ground, samples=samples)
     tilt = body_from_frame.tilt
     # A transform that tilts the frame says why it is slanted.
-    if body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL:
-        return None
+    is_slanted = body_ground.kind == "unknown" and ground.kind == "slanted" and tilt <= LEVEL
+    if (wrong := _wrong(placed, body_ground, name, body_from_frame, recorded, up)) or body_ground.off or is_slanted:
+        return wrong
     heights = suitable_heights(body_ground, samples, frame=name, origin_z=height + recorded, recorded=recorded)
+    if up < 0:
+        over = f"upside down against its transform to {name!r}, by how it turns, or by an IMU"
+        return _mounted_on(seen, name, body_from_frame, heights)._replace(fault=over)
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
@@ -332,22 +329,34 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int) -> Mo
     return seen._replace(ground=ground, fault=fault, target_frame=name, heights=heights)
 
 
-def _elsewhere(seen: Mounting, target: str, moved: Rigid, samples: _Samples, recorded: float) -> Mounting | None:
-    """Return the mounting of a sensor that its transform turns wrongly; None if it does not.
+def _wrong(seen: Mounting, ground: Ground, target: str, moved: Rigid, recorded: float, up: float) -> Mounting | None:
+    """Return the mounting of a sensor that its transform turns wrongly; None if it does not, or it is not known how.
 
-    For ``samples`` and ``recorded``, see `_corrected`; ``seen`` has the ground in their axes.
+    ``ground`` is the ground by the transform, in whose axes the samples are; for ``recorded``, see `suitable_heights`.
     """
-    height = float(moved.translation[2]) - recorded
-    grounds = [ground for points in samples if (ground := floor_elsewhere(points, moved.matrix, height, seen.ground))]
-    if not grounds or 2 * len(grounds) < len(samples):
-        return None
-    ground, up, tilted = grounds[0], grounds[0].normal, f"tilted by {math.degrees(grounds[0].tilt):.1f} deg"
-    how = "on its side" if abs(up[2]) < 0.5 else "upside down" if up[2] < 0 else tilted
+    height, samples = float(moved.translation[2]) - recorded, seen.samples
+    floors = [floor for points in samples if (floor := floor_elsewhere(points, moved.matrix, height, ground))]
+    # A level floor elsewhere contradicts the transform, too.
+    is_ceiling = bool(floors and (up or not ground.height)) and _is_ceiling(floors[0], samples, height, up)
+    if not floors or 2 * len(floors) < len(samples) or is_ceiling:
+        is_known = ground.off and "slanted" not in {seen.ground.kind, ground.kind}
+        return _corrected(seen, target, moved, ground, recorded) if is_known else None
+    floor, normal, tilted = floors[0], floors[0].normal, f"tilted by {math.degrees(floors[0].tilt):.1f} deg"
+    how = "on its side" if abs(normal[2]) < 0.5 else "upside down" if normal[2] < 0 else tilted
     fault = (
-        f"placed by a wrong transform: {target} is {how} by it, with {_direction(up)} up, if the floor is the plane "
-        f"that is {ground.height:.2f} m away; expected z up"
+        f"placed by a wrong transform: {target} is {how} by it, with {_direction(normal)} up, if the floor is the "
+        f"plane that is {floor.height:.2f} m away; expected z up"
     )
-    return _corrected(seen, target, moved, ground, samples, recorded)._replace(fault=fault)
+    return _corrected(seen, target, moved, floor, recorded)._replace(fault=fault)
+
+
+def _is_ceiling(floor: Ground, samples: _Samples, height: float, up: float) -> bool:
+    """Return whether a floor overhead is a ceiling: it is known which way is up, or nothing contradicts the transform.
+
+    Points below the floor by the transform do, and a height at which there is no ceiling.
+    """
+    below = samples[0][:, 2] < -height - ONE_FLOOR - LEVEL * np.linalg.norm(samples[0], axis=1)
+    return floor.normal[2] < -0.5 and (bool(up) or (2 * height > _LOWEST_CEILING and below.mean() < _FEW_BELOW))
 
 
 def static_tf_of(parent: str, child: str, rigid: Rigid) -> str:
