@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.advice.clocks import Clocks, are_doubtful, measure_offsets, moving
+from pc2scan.advice.clocks import MOTIONS, Clocks, are_doubtful, moving
 from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.opening import open_recording
 from pc2scan.transforms.placing import FrameOptions
@@ -30,7 +30,7 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
         survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS))
-        clocks = Clocks(survey, [survey.facts(own)], moving(reader.connections, ()))
+        clocks = Clocks(survey, own, moving(reader.connections, ()))
         survey.read()
         found = clocks.warnings()
     assert len(found) == bool(what)
@@ -60,5 +60,8 @@ def test_an_offset_is_that_of_the_soonest_message(lidar: Lidar, low: float, high
     path = write_world(tmp_path / "w.mcap", [lidar], seconds=2)
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
-        found = measure_offsets(reader, {"/points": own}, (), Span(None, None, BEGIN_NS))
+        survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS))
+        clocks = Clocks(survey, own, most=MOTIONS)
+        survey.read()
+        found = clocks.findings()
     assert low * 1e9 <= found["/points"].offset_ns <= high * 1e9

@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.observers import Observer
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.percentiles import median, median_low
-from pc2scan.errors import DecodeError, UsageError, stamp_text
+from pc2scan.errors import UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.stamps import STAMPED, stamp_in
@@ -16,7 +16,7 @@ from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import of_types
 from pc2scan.request.point_time import PointTime
 from pc2scan.request.spec import TRAJECTORY
-from pc2scan.text import counted, stamp
+from pc2scan.text import stamp
 from pc2scan.transforms.reading import tf_connections
 
 from .measurements import times_of
@@ -24,18 +24,17 @@ from .measurements import times_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
     from pc2scan.transforms.sources import Trajectory
 
     from .survey import Span, Survey, TopicFacts
 
-#: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
-Delays: TypeAlias = "list[tuple[str, int]]"
+#: The stamps in a message, and the delays from these to its log time, nanoseconds, with the child frames of transforms.
+Delays: TypeAlias = "list[tuple[str, int, int]]"
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
 CLOCK_HEADERS = 3
-_MOTIONS = 50
+MOTIONS = 50
 
 #: Clocks may differ if the delays from stamps to log times differ by this. Slow drivers delay messages, too.
 _OTHER_CLOCK_NS = 500_000_000
@@ -89,25 +88,29 @@ def measure_together(one: TopicFacts, other: TopicFacts) -> bool:
     return begin_ns <= end_ns and not are_doubtful(*delays)
 
 
-class ClockFinding(NamedTuple):
-    """A topic with another clock than the rest of its recording.
+class Clock(NamedTuple):
+    """The clock of a topic, compared with that of the rest of its recording.
 
     Attributes
     ----------
+    other
+        The topic with moving transforms that it was compared with; empty if that were the log times.
     text
-        What is wrong, for users.
+        What is wrong, for users; empty if nothing is.
     time_offset
         The value of the option ``time_offset`` that corrects it.
     offset_ns
-        What has to be added to its stamps, nanoseconds, if its messages are logged as soon after as those of ``other``.
-    other
-        The topic with moving transforms that it was compared with; empty if that were the log times.
+        What has to be added to its stamps, nanoseconds. A cloud is logged after its last point was measured: the offset
+        is that of the message that was logged soonest.
+    jitter_ns
+        How far the delays of its messages differ.
     """
 
-    text: str
-    time_offset: str
-    offset_ns: int
-    other: str = ""
+    other: str
+    text: str = ""
+    time_offset: str = ""
+    offset_ns: int = 0
+    jitter_ns: int = 0
 
     @property
     def warning(self) -> str:
@@ -123,68 +126,80 @@ class Clocks:
     survey
         Asked for the messages.
     topics
-        Facts of the topics with clouds or scans, of which headers are asked for.
+        The connections of the topics.
     compared
         What says where the robot was; None: the moving transforms, or without any, all other topics.
+    most
+        How many messages of each topic are compared.
     """
 
     def __init__(
-        self, survey: Survey, topics: Iterable[TopicFacts], compared: Iterable[Connection] | None = None
+        self,
+        survey: Survey,
+        topics: Iterable[Connection],
+        compared: Iterable[Connection] | None = None,
+        most: int = CLOCK_HEADERS,
     ) -> None:
-        self._topics = list(topics)
-        for facts in self._topics:
-            facts.ask_headers(CLOCK_HEADERS)
-        connections = survey.reader.connections
-        self._is_simulated = bool(of_types(connections, {_CLOCK}))
+        own, connections = list(topics), survey.reader.connections
+        self._clouds = survey.topics(of_types(own, CLOUDS))
+        for facts in self._clouds.values():
+            facts.ask(times_of(PointTime()))
+        self._own = _observers(own, most, survey.span)
+        self._is_simulated = compared is None and bool(of_types(connections, {_CLOCK}))
         motion = moving(connections, survey.frames.tf_topics) if compared is None else compared
-        self._motion = _observers(motion, survey.span)
-        own = {facts.topic for facts in self._topics}
-        others = [other for other in of_types(connections, STAMPED) if other.ros_version and other.topic not in own]
-        self._others = _observers(others if compared is None else (), survey.span)
-        survey.observers += (*self._motion.values(), *self._others.values())
+        self._motion = _observers(motion, MOTIONS, survey.span)
+        stamped = of_types(connections, STAMPED) if compared is None else []
+        others = [other for other in stamped if other.ros_version and other.topic not in self._own]
+        self._others = _observers(others, MOTIONS, survey.span)
+        survey.observers += (*self._own.values(), *self._motion.values(), *self._others.values())
 
     def warnings(self) -> list[str]:
         """Return warnings about topics with another clock than the transforms or the IMU."""
         return [clock.warning for clock in self.findings().values() if clock.other]
 
-    def findings(self) -> dict[str, ClockFinding]:
-        """Return what is wrong with the clocks of topics, once the survey was read.
+    def findings(self) -> dict[str, Clock]:
+        """Return the clocks with which something is wrong."""
+        return {topic: clock for topic, clock in self.compare().items() if clock.text}
+
+    def compare(self) -> dict[str, Clock]:
+        """Return the clocks of topics, once the survey was read.
 
         Stamps are compared with those of moving transforms; without any, with those of other topics. If all stamps are
-        far from the log times (a simulation, or a recording that was played back), none are wrong.
+        far from the log times (a simulation, or a recording that was played back), none are wrong. A difference that a
+        slow driver makes is none.
         """
-        findings = {}
+        clocks = {}
         motion, others = _nearest_of(self._motion), _nearest_of(self._others)
         medians = {topic: median_low(delays_ns) for topic, delays_ns in motion.items()}
-        for facts in self._topics:
+        for topic, observer in self._own.items():
+            own = [delay for message in observer.values for delay in message]
             # Stamps that are all 0 are of no clock.
-            if not any(header.stamp_ns for header in facts.headers):
+            if not any(stamp_ns for _, stamp_ns, _ in own):
                 continue
-            delay_ns = _delay(facts)
-            topic = min(medians, key=lambda name: abs(delay_ns - medians[name]), default="")
-            reference_ns = medians.get(topic, 0)
-            if not are_doubtful(delay_ns, reference_ns):
+            delays = [delay_ns for _, _, delay_ns in own]
+            delay_ns = median_low(delays)
+            other = min(medians, key=lambda name: abs(delay_ns - medians[name]), default="")
+            behind_ns = delay_ns - medians.get(other, 0)
+            alike = (delays for delays in others.values() if not are_doubtful(delay_ns, median_low(delays)))
+            is_played = not motion and (self._is_simulated or any(alike))
+            clocks[topic] = Clock(other)
+            if not are_doubtful(delay_ns, medians.get(other, 0)) or is_played:
                 continue
-            alike = (other for other in others.values() if not are_doubtful(delay_ns, median_low(other)))
-            if not motion and (self._is_simulated or any(alike)):
-                continue
-            against = f"those of {topic}, compared with their log times" if topic else "their log times"
-            behind_ns = delay_ns - reference_ns
+            against = f"those of {other}, compared with their log times" if other else "their log times"
             how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
             scale = next((s for s in _TIME_SCALES if abs(behind_ns + s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
             cause = "" if scale is None else f" ({_TIME_SCALES[scale]})"
-            if behind_ns > _DAY_NS and 0 <= facts.headers[0].stamp_ns < _LONG_AGO_NS:
+            if behind_ns > _DAY_NS and 0 <= own[0][1] < _LONG_AGO_NS:
                 cause = " (its clock counts from its start)"
-            offset = "auto" if scale is None else f"-{scale}s"
-            # Of the messages that were logged soonest.
-            offset_ns = min(header.delay_ns for header in facts.headers) - min(motion.get(topic, [0]))
-            text = f"the stamps of {facts.topic} are {how}{cause}"
-            findings[facts.topic] = ClockFinding(text, offset, offset_ns, topic)
-        return findings
+            offset_ns = min(delays) - self._last_point_ns(topic) - min(motion.get(other, [0]))
+            text, option = f"the stamps of {topic} are {how}{cause}", "auto" if scale is None else f"-{scale}s"
+            clocks[topic] = Clock(other, text, option, offset_ns, max(delays) - min(delays))
+        return clocks
 
-
-def _delay(facts: TopicFacts) -> int:
-    return median_low([header.delay_ns for header in facts.headers[:CLOCK_HEADERS]])
+    def _last_point_ns(self, topic: str) -> int:
+        """Return how long after its stamp the last point of a cloud is measured, nanoseconds; 0 if it is not known."""
+        times = self._clouds[topic].values(times_of(PointTime())) if topic in self._clouds else []
+        return round(1e9 * min(max(0.0, median([own.high for own in times] or [0.0])), _LONGEST_S))
 
 
 def _nearest_of(observers: Mapping[str, Observer[Delays]]) -> dict[str, list[int]]:
@@ -198,20 +213,20 @@ def _duration_text(duration_ns: int) -> str:
     return f"{seconds / 86400:,.0f} days" if seconds > 2 * 86400 else f"{seconds:.3g} s"
 
 
-def _observers(connections: Iterable[Connection], span: Span) -> dict[str, Observer[Delays]]:
+def _observers(connections: Iterable[Connection], most: int, span: Span) -> dict[str, Observer[Delays]]:
     return {
-        topic: Observer(own, _delays, _MOTIONS, span.start_ns, span.stop_ns)
-        for topic, own in by_topic(connections).items()
+        topic: Observer(own, _delays, most, span.start_ns, span.stop_ns) for topic, own in by_topic(connections).items()
     }
 
 
 def _delays(message: RawMessage) -> Delays:
-    """Return the delays from the stamps in a message to its log time, with the child frames of transforms."""
+    """Return the stamps in a message, and their delays."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
     if kind in TF_TYPES:
         transforms = decode_transforms(message.data, serialization)
-        return [(child, message.log_time_ns - stamp_ns) for _, child, stamp_ns, *_ in transforms]
-    return [("", message.log_time_ns - stamp_in(message.data, serialization))]
+        return [(child, stamp_ns, message.log_time_ns - stamp_ns) for _, child, stamp_ns, *_ in transforms]
+    stamp_ns = stamp_in(message.data, serialization)
+    return [("", stamp_ns, message.log_time_ns - stamp_ns)]
 
 
 def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], span: Span, end_ns: int | None) -> None:
@@ -235,7 +250,7 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
     for facts in topics:
         if not facts.headers:
             continue
-        delay_ns = _delay(facts)
+        delay_ns = median_low([header.delay_ns for header in facts.headers])
         begin_ns, end_ns = span.first_ns - delay_ns, last_ns - delay_ns
         if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
             return
@@ -246,68 +261,6 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
             path=trajectory.name,
             hint=f"if the clocks differ, {offset} moves the first pose to the first message",
         )
-
-
-class Offset(NamedTuple):
-    """What has to be added to the stamps of a topic.
-
-    Attributes
-    ----------
-    offset_ns
-        Nanoseconds, in whole milliseconds; 0 if the stamps fit.
-    reference
-        The topic of moving transforms that it was measured against; empty if that were the log times.
-    note
-        How it was measured, for users.
-    """
-
-    offset_ns: int
-    reference: str
-    note: str
-
-
-def measure_offsets(
-    reader: Reader,
-    topics: Mapping[str, Sequence[Connection]],
-    tf_topics: Sequence[str],
-    span: Span,
-) -> dict[str, Offset]:
-    """Measure how far the stamps of topics are off those of the moving transforms, or the log times without any.
-
-    Messages are compared by their log times. A cloud is logged after its last point was measured: the offset is that of
-    the message that was logged soonest. A difference that a slow driver makes is no offset.
-
-    Parameters
-    ----------
-    topics
-        The connections of each topic.
-    tf_topics
-        See `tf_connections`. If it is not clear which transforms to use, log times are.
-    span
-        The cut, in whose first messages it is measured.
-    """
-    motion = [connection for connection in moving(reader.connections, tf_topics) if connection.topic not in topics]
-    ends = {topic: Observer(own, _delay_of_end, _MOTIONS, span.start_ns, span.stop_ns) for topic, own in topics.items()}
-    references = _observers(motion, span)
-    observe((reader, [*ends.values(), *references.values()]))
-    nearest = _nearest_of(references)
-    reference = min(nearest, key=lambda topic: abs(median_low(nearest[topic])), default="")
-    others = nearest.get(reference, [0])
-    against = f"the stamps of {reference}" if reference else "the log times"
-    offsets = {}
-    for topic, observer in ends.items():
-        delays = observer.values
-        number = counted(len(delays), "message")
-        offset_ns, note = 0, f"{topic}: time_offset is 0: its first stamps fit {against} ({number})"
-        if delays and are_doubtful(median_low(delays), median_low(others)):
-            offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
-            note = (
-                f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, "
-                f"whose delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; "
-                f"`time_offset={topic}={offset_ns / 1e9:.3f}s`"
-            )
-        offsets[topic] = Offset(offset_ns, reference, note)
-    return offsets
 
 
 def moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[Connection]:
@@ -322,27 +275,6 @@ def _nearest(messages: Iterable[Delays]) -> list[int]:
     """Return the delays of the child frame whose transforms are logged closest to their stamps."""
     delays: dict[str, list[int]] = {}
     for message in messages:
-        for child, delay_ns in message:
+        for child, _, delay_ns in message:
             delays.setdefault(child, []).append(delay_ns)
     return min(delays.values(), key=lambda values: abs(median_low(values)), default=[])
-
-
-def _delay_of_end(message: RawMessage) -> int:
-    """Return the delay from a message's last point to its log time; from the stamp if points have no times."""
-    kind, serialization = message.connection.ros_type, message.connection.serialization
-    stamp_ns, last_s = stamp_in(message.data, serialization), 0.0
-    if kind in CLOUDS:
-        points = CLOUDS[kind](serialization)(message.data)
-        with suppress(DecodeError):
-            last_s = PointTime().read(points).high
-    return message.log_time_ns - stamp_ns - _end_ns(last_s)
-
-
-def last_point_ns(facts: TopicFacts) -> int:
-    """Return how long after its stamp the last point of a cloud is measured, nanoseconds; 0 if it is not known."""
-    return _end_ns(median([times.high for times in facts.values(times_of(PointTime()))] or [0.0]))
-
-
-def _end_ns(last_s: float) -> int:
-    """Return the time of a cloud's last point after its stamp, nanoseconds, within what a cloud may take."""
-    return round(1e9 * min(max(0.0, last_s), _LONGEST_S))

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.advice.clocks import measure_offsets
-from pc2scan.advice.survey import Span
+from pc2scan.advice.clocks import MOTIONS, Clocks, moving
+from pc2scan.advice.survey import Span, Survey
 from pc2scan.bags.merged import ChangedReader
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import by_topic, find_topic, types_by_topic
@@ -23,12 +23,14 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, CloudFields, encode_cloud, pack_cloud
 from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in, writable
 from pc2scan.request.spec import TRAJECTORY
+from pc2scan.transforms.placing import FrameOptions
 from pc2scan.transforms.reading import read_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from contextlib import ExitStack
 
+    from pc2scan.advice.clocks import Clock
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
     from pc2scan.progress import Meter
@@ -101,22 +103,26 @@ def corrected(
     topics = by_topic(
         connection for connection in reader.connections if connection.topic in offsets and _is_stamped(connection)
     )
-    wanted = {
-        topic: topics[topic]
-        for topic, offset in offsets.items()
-        if topic in topics and (offset is None or abs(offset) > _NOTABLE_NS)
-    }
+    doubtful = {topic for topic, offset in offsets.items() if offset is None or abs(offset) > _NOTABLE_NS}
+    wanted = [connection for topic, group in topics.items() if topic in doubtful for connection in group]
     notes: list[str] = []
     remarks: dict[str, None] = {}
-    for topic, fit in (measure_offsets(reader, wanted, tf_topics, span) if wanted else {}).items():
+    for topic, measured in (_measured(reader, wanted, tf_topics, span) if wanted else {}).items():
+        offset_ns = round(measured.offset_ns / 1e6) * 1_000_000
+        against = f"the stamps of {measured.other}" if measured.other else "the log times"
         if (given_ns := offsets[topic]) is None:
-            offsets[topic] = fit.offset_ns
-            notes.append(fit.note)
-        elif fit.reference and abs(given_ns - fit.offset_ns) > abs(fit.offset_ns) + _NOTABLE_NS:
-            without = f"are {abs(fit.offset_ns) / 1e9:.3g} s off" if fit.offset_ns else "fit"
+            offsets[topic] = offset_ns
+            seconds, jitter = f"{offset_ns / 1e9:.3f}", f"{measured.jitter_ns / 1e9:.3f}"
+            note = (
+                f"{seconds} s, measured against {against} in its first messages, whose delays differ by {jitter} s; "
+                f"`time_offset={topic}={seconds}s`"
+            )
+            notes.append(f"{topic}: time_offset is {note if offset_ns else f'0: its first stamps fit {against}'}")
+        elif measured.other and abs(given_ns - offset_ns) > abs(offset_ns) + _NOTABLE_NS:
+            without = f"are {abs(offset_ns) / 1e9:.3g} s off" if offset_ns else "fit"
             text = (
-                f"{topic}: `time_offset` takes its stamps farther from those of {fit.reference}: without it they "
-                f"{without}, with it they are {abs(given_ns - fit.offset_ns) / 1e9:.3g} s off; "
+                f"{topic}: `time_offset` takes its stamps farther from those of {measured.other}: without it they "
+                f"{without}, with it they are {abs(given_ns - offset_ns) / 1e9:.3g} s off; "
                 f"`time_offset={topic}=auto` measures what corrects them"
             )
             remarks[text] = None
@@ -125,6 +131,15 @@ def corrected(
     moved = {topic: partial(_moved, offset, fields, remarks) for topic, offset in offsets.items() if offset != 0}
     changes = {connection.id: moved[topic] for topic, group in topics.items() if topic in moved for connection in group}
     return (ChangedReader(reader, changes, remarks) if changes else reader), notes
+
+
+def _measured(reader: Reader, wanted: Sequence[Connection], tf_topics: Sequence[str], span: Span) -> dict[str, Clock]:
+    """Return the clocks of topics, compared with the moving transforms, or with the log times without any."""
+    survey = Survey(reader, (), FrameOptions(tf_topics=tuple(tf_topics)), span)
+    motion = [connection for connection in moving(reader.connections, tf_topics) if connection not in wanted]
+    clocks = Clocks(survey, wanted, motion, MOTIONS)
+    survey.read()
+    return clocks.compare()
 
 
 def corrected_transforms(

@@ -318,11 +318,13 @@ class _OutputFacts:
         self._topics = survey.topics(plan.sources_of(spec)).values()
         references: list[Sequence[Connection]] = []
         if spec.fixed_frame:
+            for facts in self._topics:
+                facts.ask_headers(1)
             references.append(moving(survey.reader.connections, survey.frames.tf_topics))
         if spec.imu:
             observers = survey.imu(spec.imu.topic).observers(survey.reader)
             references.append([connection for observer in observers for connection in observer.connections])
-        self._clocks = [Clocks(survey, self._topics, reference) for reference in references]
+        self._clocks = [Clocks(survey, plan.sources_of(spec), reference) for reference in references]
         self._alone = survey.topics(plan.sources_of(spec, ""))
         joined = {out.joined: out for route in plan.routes for out in route.outputs if out.joined and out.spec is spec}
         self._sources = [SourceFacts(out, survey.topics(plan.sources_of(spec, out.joined))) for out in joined.values()]

@@ -359,7 +359,7 @@ def _judge(prepared: Preparation, target: Destination, report: Report) -> None:
     if far and not request.clock:
         doubtful = [connection for connection in prepared.plan.converted if connection.topic in far]
         survey = Survey(reader, (), request.frames, prepared.span)
-        clocks = Clocks(survey, survey.topics(doubtful).values())
+        clocks = Clocks(survey, doubtful)
         survey.read()
         report.add(clocks.warnings())
     compare_counts(reader, request, prepared.routes.values(), report)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from pc2scan.advice.clocks import ClockFinding
+    from pc2scan.advice.clocks import Clock
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
@@ -178,7 +178,7 @@ def check(sources: Sequence[Path], options: Options, progress: Progress | None =
         known = frames if frames.model else replace(frames, model=RobotModel("", ()))
         survey = Survey(reader, others, known, Span(None, None, 0))
         wanted = [connection for group in chosen.values() for connection in group]
-        clocks = Clocks(survey, survey.topics(wanted).values())
+        clocks = Clocks(survey, wanted)
         reading = survey.ask_transforms((options.odom_frame, options.base_frame), use=False)
         arrivals = Arrivals()
         moving = [tf for tf in tf_connections(reader.connections, known.tf_topics) if not tf.is_static]
@@ -293,7 +293,7 @@ class ScanFrames:
     """
 
     def __init__(
-        self, buffer: TransformBuffer, odom_frame: str, base_frame: str, clock: ClockFinding | None, arrivals: Arrivals
+        self, buffer: TransformBuffer, odom_frame: str, base_frame: str, clock: Clock | None, arrivals: Arrivals
     ) -> None:
         self._buffer, self._clock, self._arrivals = buffer, clock, arrivals
         self._known = {frame for tree in buffer.trees for frame in tree.frames}

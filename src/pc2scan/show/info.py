@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
-from pc2scan.advice.clocks import Clocks, last_point_ns
+from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
 from pc2scan.advice.odometry import turns_upright
 from pc2scan.advice.survey import SAMPLES, Span, Survey, are_long
@@ -390,7 +390,7 @@ class _SurveyResult:
             facts.ask(replace(SAMPLES, are_enough=are_long) if moved else SAMPLES)
         for facts in clouds.values():
             ask_facts(facts, end_ns or 0)
-        clocks = Clocks(survey, clouds.values())
+        clocks = Clocks(survey, of_types(connections, CLOUDS), most=HEADERS)
         imus = {imu.topic for imu in of_types(survey.reader.connections, {IMU}) if clouds}
         readings = {topic: survey.imu(topic, _MAX_IMU) for topic in sorted(imus)}
         is_added = survey.others or survey.frames.adds_poses
@@ -417,10 +417,8 @@ class _SurveyResult:
         self.clocks = clocks.findings()
         # Only by corrected stamps is it known where the robot was.
         for topic, clock in self.clocks.items():
-            # A cloud is logged after its last point.
-            offset_ns = clock.offset_ns - last_point_ns(clouds[topic])
             for values in (self.clouds[topic], *(observer.values for observer in clouds[topic].observers)):
-                values[:] = [_moved(value, offset_ns) for value in values]
+                values[:] = [_moved(value, clock.offset_ns) for value in values]
         self.warnings += filter(None, (increment_warning(scan) for scan in flat.values()))
         self.warnings += (text for topic_facts in self.facts.values() for text in stamp_faults(topic_facts))
         self.ups: dict[str, UpEstimate] = {}

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.advice.clocks import ClockFinding
+    from pc2scan.advice.clocks import Clock
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.conversion.steps import PlacedCloud
     from pc2scan.core.rule import PointCounts
@@ -179,7 +179,7 @@ class Lidar:
     recorded: Summary
     connections: Sequence[Connection]
     known_ns: tuple[int, int]
-    clock: ClockFinding | None
+    clock: Clock | None
     ups: Mapping[str, UpEstimate]
     assumed: str = ""
     scene: Scene | None = None
