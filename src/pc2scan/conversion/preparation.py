@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.advice.checks import are_enough, judge
+from pc2scan.advice.checks import judge
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.checks.plausibility import in_another_unit
 from pc2scan.advice.clocks import CLOCK_HEADERS, Clocks, moving, refuse_other_clock
@@ -26,7 +26,7 @@ from pc2scan.advice.survey import Span, Survey, placed_sample
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.points import Points
-from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, CloudSample
+from pc2scan.core.scene import JUDGED_CLOUDS, PARTS, CloudSample, are_enough
 from pc2scan.errors import Pc2ScanError, TopicError, UnconnectedError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.request.point_time import PointTime
@@ -438,6 +438,7 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
         specs = {output.spec for own in connections for output in routes[own.id].outputs}
         specs = {spec for spec in specs if spec and not spec.reverse}
         clouds: dict[ScanSpec, CloudFacts] = {}
+        judged: set[ScanSpec] = set()
         if tally is None and not specs:
             continue
         read = successes = 0
@@ -453,23 +454,24 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
                 if read == len(unconnected) == _UNCONNECTED:
                     why = f"{unconnected[0].message}{'; ' * bool(unconnected[0].hint)}{unconnected[0].hint or ''}"
                     tell(f"none of the first {read} messages can be converted: {topic}: {why}")
-                unjudged = [spec for spec in specs if spec not in clouds or not are_enough(clouds[spec])]
-                for spec, sample, counts in _samples(item, message, unjudged, prepared):
+                for spec, sample, counts in _samples(item, message, specs - judged, prepared):
                     own = clouds.setdefault(spec, CloudFacts(topic, spec, prepared.known))
                     own.samples.append(sample)
                     own.counts.append(counts)
-                if tally is None and len(clouds) == len(specs) and all(map(are_enough, clouds.values())):
+                judged = {spec for spec, own in clouds.items() if are_enough(own.samples)}
+                if tally is None and judged == specs:
                     break
                 are_parts = tally is None and any(own.are_parts for own in clouds.values())
                 most = PARTS if are_parts else JUDGED_CLOUDS
                 if successes == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
                     break
         for spec, own in clouds.items():
-            judged = judge(own)
-            tell(*judged.warnings)
+            judgement = judge(own)
+            tell(*judgement.warnings)
             for entry in report.topics:
                 if entry.topic == topic and entry.spec is spec:
-                    entry.advice, entry.no_returns, entry.is_level = judged.advice, judged.no_returns, judged.is_level
+                    entry.advice, entry.no_returns = judgement.advice, judgement.no_returns
+                    entry.is_level = judgement.is_level
 
 
 def _samples(

@@ -7,12 +7,10 @@ function, a line in this table, and a row in a test. Users see the warnings of a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-
-from pc2scan.core.scene import JUDGED_CLOUDS, PARTS
 
 from . import first_clouds, plausibility
 from .plausibility import OutputRequest
@@ -96,18 +94,6 @@ class Judgement(NamedTuple):
     advice: str = ""
     no_returns: float = 0.0
     is_level: bool = False
-
-
-def are_enough(facts: CloudFacts) -> bool:
-    """Whether no more clouds are needed for a judgement: a level floor in the first one leaves no doubt."""
-    if facts.are_parts:
-        return len(facts.samples) >= PARTS
-    if len(facts.samples) != 1:
-        return len(facts.samples) >= JUDGED_CLOUDS
-    # Cached values of one cloud are not those of several.
-    facts = replace(facts)
-    with np.errstate(all="ignore"):
-        return facts.are_fine and not found_by(FIRST_CLOUDS, facts)
 
 
 def judge(facts: CloudFacts) -> Judgement:
