@@ -13,13 +13,11 @@ import pc2scan
 from pc2scan.advice import checks
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.checks.plausibility import OutputRequest
-from pc2scan.advice.survey import placed_sample
 from pc2scan.conversion import result_checks as result
 from pc2scan.conversion.combine.grouping import Run, SourceCounts
 from pc2scan.conversion.report import Report, TopicReport
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.core.scene import CloudSample
 from pc2scan.model import Connection, Summary
@@ -27,7 +25,6 @@ from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
 from pc2scan.request.spec import ScanSpec
 from pc2scan.transforms.builder import TransformBuilder
-from pc2scan.transforms.placing import Placement
 from support.tables import rows
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 
@@ -75,15 +72,11 @@ def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -
 @pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))
 def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used: int, name: str, text: str) -> None:
     request = conversion_of(Options("convert", options))
-    static, target = request.frames.static, request.scan.params.target_frame
-    moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
     points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
     lossy = "made lossy" if name == "lossy_clouds" else ""
     sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)), lossy))
-    sample = placed_sample(sample, Placement(target or "lidar", moved))
     counts = PointCounts(len(points), used, height=len(points) - used)
-    known = KnownTransforms("", lambda: None, static=static)
-    facts = CloudFacts("/points", request.scan, known, [sample], [counts])
+    facts = CloudFacts("/points", request.scan, KnownTransforms("", lambda: None), [sample], [counts])
     found = named((*checks.FRAME, *checks.FIRST_CLOUDS), facts)
     assert list(found) == [name]
     assert found[name][0].startswith(text)

@@ -275,8 +275,6 @@ def _look_ahead(
         prepared.notes += (*transforms.notes, *transforms.replaced)
     if frames.trajectory is not None:
         refuse_other_clock(frames.trajectory, placed, span, reader.summary.end_ns)
-    if buffer is not None:
-        known.static = frames.static
     if given:
         robot = known.read() if transforms is None else transforms.buffer
         tell(*check_given_frames((facts.frame for facts in given), plan, frames, buffer, robot))

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 #: What is said of the first cloud that is shown, and of the first few. Heights are not: pages have sliders for them.
 _OF_ONE = (checks.target_that_moves, checks.clouds_in_fixed_frame)
-_OF_SEVERAL = (checks.frame_not_level, checks.swapped_transform, checks.clouds_in_another_unit)
+_OF_SEVERAL = (checks.frame_not_level, checks.clouds_in_another_unit)
 
 #: Fields that a picture can show besides x, y and z.
 _MOST_FIELDS = 8

@@ -47,7 +47,6 @@ FRAME: Checks[CloudFacts] = (first_clouds.frame_not_level,)
 #: What the first clouds show about the parameters of an output.
 FIRST_CLOUDS: Checks[CloudFacts] = (
     first_clouds.lossy_clouds,
-    first_clouds.swapped_transform,
     first_clouds.clouds_in_another_unit,
     first_clouds.nearly_empty_scans,
     first_clouds.heights_above_floor,

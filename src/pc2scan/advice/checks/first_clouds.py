@@ -18,17 +18,15 @@ from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
 from pc2scan.transforms.mounting import is_upside_down, mounting, sensor_exclusion, unit_warning
-from pc2scan.transforms.static import static_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.buffer import TransformBuffer
     from pc2scan.transforms.mounting import Mounting
-    from pc2scan.transforms.static import StaticTransform
 
 #: A scan with fewer points than this share of its beams counts as empty. The share of the cloud's points is no measure:
 #: outdoors most points are ground, which scans reject.
@@ -44,10 +42,6 @@ _NOTABLE_ABOVE_GROUND = 0.05
 
 #: From this share of beams that end on the floor, or on what is overhead, a warning gives other heights.
 _MOST_FLOOR, _FEWEST_BEAMS = 0.3, 20
-
-#: A transform is taken for swapped if the sensor is at least this far below the robot's frame, metres, and as far as it
-#: is above the floor, but for this share.
-_BELOW, _NEAR_FLOOR = 0.1, 0.3
 
 #: Things on the floor that are higher than this, metres, are obstacles that no scan should miss, and scans that begin
 #: above this have none of them.
@@ -73,14 +67,11 @@ class KnownTransforms:
         Reads the recording's transforms between the robot's frames, in the few cases that need them.
     buffer
         The transforms to the target frame; None where there is no target frame.
-    static
-        The transforms that options add.
     """
 
     source_frame: str
     read: Callable[[], TransformBuffer | None]
     buffer: TransformBuffer | None = None
-    static: Sequence[StaticTransform] = ()
 
 
 @dataclass
@@ -295,26 +286,6 @@ def frame_not_level(clouds: CloudFacts) -> Iterator[str]:
         yield clouds.mounting.warning
 
 
-def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if an added transform would put the floor at z = 0 the other way round."""
-    sample = clouds.samples[0]
-    below = -sample.origin[2]
-    target = sample.judged_in.removeprefix("/")
-    static = next((mount for mount in clouds.transforms.static if mount.child.removeprefix("/") == target), None)
-    if static is None or below < _BELOW or len(sample.points) < FEWEST_POINTS:
-        return
-    # Where the ground rises, its lowest points are nearly as far below the sensor as a level floor would be.
-    height = sample.floor.height if sample.floor else -float(percentiles(sample.points[:, 2], 5)[0])
-    if abs(below - height) > _NEAR_FLOOR * height:
-        return
-    inverse = static_text(static.child, static.parent, static)
-    yield (
-        f"`static_tf` from {static.parent} to {static.child} puts the sensor {below:.2f} m below {static.child}, "
-        f"and the floor at z = {height_text(-below - height)} m; the parent comes first: `static_tf='{inverse}'` "
-        f"puts the floor at z = {height_text(below - height)} m"
-    )
-
-
 def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are not those that the lidar measured."""
     if text := clouds.samples[0].lossy:
@@ -389,7 +360,7 @@ def heights_above_floor(clouds: CloudFacts) -> Iterator[str]:
     # If the sensor is below the robot's frame, and the heights are above it, z may have the wrong sign.
     most = _OVERLOOKED if sample.origin[2] < 0 < low else _NOTHING_LOW
     if target and target.removeprefix("/") in BODIES and above > most:
-        cure = "is another `cloud_scale` right, or another transform?"
+        cure = "is another `cloud_scale` right, or another transform (the parent comes first)?"
     elif not target and low > 0 and above > _OVERLOOKED and clouds.mounting.target_frame in BODIES:
         cure = f"heights above the floor: {clouds.advice}"
     else:
