@@ -14,6 +14,7 @@ import numpy as np
 
 from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median, median_low
+from pc2scan.core.points import Points
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import (
     IN_SECONDS,
@@ -33,22 +34,20 @@ from pc2scan.text import did_you_mean
 from .survey import Fact
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
-    from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
     from pc2scan.model import RawMessage
-    from pc2scan.request.point_time import Turn
+    from pc2scan.request.point_time import FieldTimes
     from pc2scan.request.spec import ScanSpec
     from pc2scan.transforms.placing import Placer
 
     from .survey import TopicFacts
 
 #: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
-STAMPS = 51
-SHAPES = 11
+STAMPS, _SHAPES = 51, 11
 
 #: A lidar turns about the z axis of the scans' frame if the cosine between its own and this one is larger.
 _UPRIGHT = 0.9
@@ -84,6 +83,12 @@ class Measurements(NamedTuple):
     first_beam_ns: int = 0
     azimuth_step: float = 0.0
 
+    @classmethod
+    def given(cls, params: ProjectionParams) -> Measurements:
+        """Return what the parameters say, 0 for what is to be measured."""
+        scan_time, increment = (0.0 if x == "auto" else x for x in (params.scan_time, params.time_increment))
+        return cls(scan_time, increment)
+
     def resolve(self, params: ProjectionParams) -> ProjectionParams:
         """Return parameters whose ``beams`` is not auto: as measured, or without clouds as ``angle_increment`` says."""
         if params.beams != "auto":
@@ -99,11 +104,11 @@ class CloudShape(NamedTuple):
     frame_id, stamp_ns
         The cloud's.
     step
-        The azimuth step, radians; None if the points are in no regular rings, or it is not measured.
+        The azimuth step, radians; None if the points are in no regular rings.
     sweep
-        The motion of a turning lidar; None if the times are not of one, or it is not measured.
+        The motion of a turning lidar; None if the times are not of one.
     time_field
-        The field with the times; empty if it has none, or they are not wanted.
+        The field with the times; empty if it has none.
     """
 
     frame_id: str
@@ -114,41 +119,37 @@ class CloudShape(NamedTuple):
 
 
 @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
-def _shape(cloud: Points, _: RawMessage, needs_step: bool, needs_sweep: bool) -> CloudShape:
+def _shape(cloud: Points, _: RawMessage) -> CloudShape:
     x, y, z = cloud.xyz()
-    step = sweep = None
-    if needs_step:
-        name = next((name for name in RING_FIELDS if name in cloud.fields), None)
-        rings = None if name is None else np.ravel(cloud.field(name))
-        if rings is not None and rings.dtype.kind not in "iu":
-            rings = np.unique(rings, return_inverse=True)[1]
-        step = azimuth_step(x, y, z, rings)
-    times = time_field(cloud.fields) if needs_sweep else ""
+    name = next((name for name in RING_FIELDS if name in cloud.fields), None)
+    rings = None if name is None else np.ravel(cloud.field(name))
+    if rings is not None and rings.dtype.kind not in "iu":
+        rings = np.unique(rings, return_inverse=True)[1]
+    step, sweep, times = azimuth_step(x, y, z, rings), None, time_field(cloud.fields)
     if times:
         ahead, left, up = (np.ravel(part).astype(np.float64) for part in (x, y, z))
         angles = np.arctan2(left, ahead)
         angles[~np.isfinite(ahead + left + up) | ((ahead == 0) & (left == 0) & (up == 0))] = np.nan
         with suppress(MessageError):
             sweep = fit_sweep(angles, np.ravel(PointTime().read(cloud).at()))
-    return CloudShape(cloud.frame_id, cloud.stamp_ns, step, sweep, times or "")
+    return CloudShape(cloud.frame_id, cloud.stamp_ns, step, sweep, times)
 
 
-def shapes_of(*, step: bool, sweep: bool, most: int = SHAPES) -> Fact[CloudShape]:
-    """Return the fact: what the points of the first clouds show of the lidar."""
-    return Fact(_shape, most, (step, sweep))
+#: What the points of the first clouds show of the lidar.
+SHAPES = Fact(_shape, _SHAPES)
 
 
-def _wanted_shapes(spec: ScanSpec) -> Fact[CloudShape] | None:
-    step, sweep = spec.params.beams == "auto", spec.params.time_increment == "auto"
-    return shapes_of(step=step, sweep=sweep) if step or sweep else None
+def _needs_shapes(params: ProjectionParams) -> bool:
+    return "auto" in (params.beams, params.time_increment)
 
 
 def ask_measurements(facts: TopicFacts, spec: ScanSpec) -> None:
     """Ask for what `measure` reads of a topic."""
-    shapes = _wanted_shapes(spec)
-    if shapes is not None:
-        facts.ask(shapes)
-    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else SHAPES if shapes is not None else 1)
+    most = 1
+    if _needs_shapes(spec.params):
+        facts.ask(SHAPES)
+        most = _SHAPES
+    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else most)
 
 
 def _turned(shape: CloudShape, placer: Placer) -> Sweep | None:
@@ -166,35 +167,53 @@ def _turned(shape: CloudShape, placer: Placer) -> Sweep | None:
     return None
 
 
-def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tuple[dict[str, Measurements], list[str]]:
-    """Measure the first clouds of each topic.
+def measure(facts: TopicFacts, spec: ScanSpec, placer: Placer) -> tuple[Measurements, list[str]]:
+    """Measure the first messages of a topic.
 
     Parameters
     ----------
-    topics
+    facts
         What was observed: see `ask_measurements`.
     spec
-        The request: requested fields must exist.
+        The request.
     placer
         The recording's transforms: beams are measured in the frame of the scans.
 
     Returns
     -------
-    dict, list of str
-        The timing of each topic, and notes for the user.
+    Measurements, list of str
+        The timing, and notes for the user.
 
     Raises
     ------
     ParameterError
-        If none of the first clouds of a topic has the ``intensity_field``, or a field that a filter or deskewing
-        needs; or if ``beams`` is auto, and the points are not in regular rings.
+        If ``beams`` is auto, and the points are not in regular rings.
     """
-    measurements: dict[str, Measurements] = {}
-    notes: list[str] = []
-    for facts in topics:
-        _require_fields(facts, spec)
-        measurements[facts.topic] = _timing(facts, spec, placer, notes)
-    return measurements, notes
+    params, topic, notes = spec.params, facts.topic, list[str]()
+    shapes = facts.values(SHAPES) if _needs_shapes(params) else []
+    step, stamps = 0.0, [header.stamp_ns for header in facts.headers]
+    if params.beams == "auto" and stamps:
+        step = _resolution(facts, shapes)
+        layout = params.at_resolution(step).layout
+        notes.append(
+            f"{topic}: beams is {layout.count:,}, angle_increment {layout.angle_increment:.6g} rad: the lidar measures "
+            f"every {math.degrees(step):.4g} deg"
+        )
+    layout = (params.at_resolution(step) if step else params).layout
+    scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
+    if scan_time == "auto":
+        interval = median_interval_ns(stamps[:STAMPS])
+        scan_time = (interval or 0) / 1e9
+        notes.append(
+            f"{topic}: scan_time is 0, because there are no two different stamps to measure it between"
+            if interval is None
+            else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
+            f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps[:STAMPS])} stamps"
+        )
+    if time_increment == "auto":
+        time_increment, first_beam_ns, note = _beams(shapes, layout, stamps, placer)
+        notes.append(f"{topic}: {note}")
+    return Measurements(scan_time, time_increment, first_beam_ns, step), notes
 
 
 def require_fields(spec: ScanSpec, fields: Sequence[str], what: str, hint: str, point_time: str = "") -> None:
@@ -224,14 +243,8 @@ def require_fields(spec: ScanSpec, fields: Sequence[str], what: str, hint: str, 
             raise ParameterError(text, name=option, hint=f"{did_you_mean(field, fields)} {hint}".strip())
 
 
-def unknown_step(why: str) -> ParameterError:
-    """Return the error that the number of beams cannot be measured."""
-    hint = "give a number of `beams`, or an `angle_increment`"
-    return ParameterError(f"beams is auto, but {why}", name="beams", hint=hint)
-
-
-def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
-    """Raise if no cloud has a requested field."""
+def require_cloud_fields(facts: TopicFacts, spec: ScanSpec) -> None:
+    """Raise if none of the first clouds of a topic has a field that the request needs."""
     if not facts.headers:
         return
     topic = facts.topic
@@ -247,52 +260,27 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
         )
 
 
-def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str]) -> Measurements:
-    """Return the times to write into the scans, and add notes about them."""
-    params, topic = spec.params, facts.topic
-    wanted = _wanted_shapes(spec)
-    shapes = [] if wanted is None else facts.values(wanted)
-    step = _resolution(topic, shapes, params, notes) if params.beams == "auto" and facts.headers else 0.0
-    layout = (params.at_resolution(step) if step else params).layout
-    scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
-    if scan_time == "auto":
-        stamps = [header.stamp_ns for header in facts.headers[:STAMPS]]
-        interval = median_interval_ns(stamps)
-        scan_time = (interval or 0) / 1e9
-        notes.append(
-            f"{topic}: scan_time is 0, because there are no two different stamps to measure it between"
-            if interval is None
-            else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
-            f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
-        )
-    if time_increment == "auto":
-        times = [header.stamp_ns for header in facts.headers]
-        time_increment, first_beam_ns, note = _beams(shapes, layout, times, placer)
-        notes.append(f"{topic}: {note}")
-    return Measurements(scan_time, time_increment, first_beam_ns, step)
-
-
 def regular_step(shapes: Sequence[CloudShape]) -> float | None:
     """Return how finely the lidar samples azimuth, radians; None if most of its clouds have no regular rings."""
     known = [shape.step for shape in shapes if shape.step is not None]
     return median_low(known) if 2 * len(known) > len(shapes) else None
 
 
-def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionParams, notes: list[str]) -> float:
-    """Return how finely the lidar samples azimuth, radians."""
-    known = sum(shape.step is not None for shape in shapes)
-    step = regular_step(shapes)
-    if step is None:
-        raise unknown_step(
-            f"the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
-            f"{len(shapes) - known} of the first {len(shapes)} are in no regular rings"
-        )
-    layout = params.at_resolution(step).layout
-    notes.append(
-        f"{topic}: beams is {layout.count:,}, angle_increment {layout.angle_increment:.6g} rad: the lidar measures "
-        f"every {math.degrees(step):.4g} deg (median of {known} clouds)"
+def _resolution(facts: TopicFacts, shapes: Sequence[CloudShape]) -> float:
+    """Return how finely the lidar samples azimuth, radians: by the rings of its clouds, or as its scans say."""
+    increments = [header.increment for header in facts.headers if header.increment is not None]
+    known = [increment for increment in increments if 0 < increment < math.inf]
+    if (step := median_low(known) if known else regular_step(shapes)) is not None:
+        return step
+    irregular = sum(shape.step is None for shape in shapes)
+    why = (
+        f"no scan on {facts.topic} has an angle_increment"
+        if increments
+        else f"the azimuth resolution of the clouds on {facts.topic} cannot be measured: the points of "
+        f"{irregular} of the first {len(shapes)} are in no regular rings"
     )
-    return step
+    hint = "give a number of `beams`, or an `angle_increment`"
+    raise ParameterError(f"beams is auto, but {why}", name="beams", hint=hint)
 
 
 def _beams(
@@ -325,28 +313,6 @@ def _beams(
     return increment, first_beam_ns, f"{note}; stamps are shifted by {stamp_text(first_beam_ns)} s, to the first beam"
 
 
-class PointTimes(NamedTuple):
-    """The times of a cloud's points.
-
-    Attributes
-    ----------
-    stamp_ns
-        The cloud's stamp.
-    field
-        The field with the times.
-    low, high
-        The times of the first and the last point, seconds after the stamp.
-    unit
-        Of the values, seconds.
-    """
-
-    stamp_ns: int
-    field: str
-    low: float
-    high: float
-    unit: float
-
-
 def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
     """Ask for the times of points: those of a field, or the turns of a lidar whose period is to be measured."""
     facts.ask_headers(_CLOUDS)
@@ -364,7 +330,7 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
     if any(header.turn for header in facts.headers):
         yield from filter(None, [increment_warning(facts)])
     topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
-    period = (median_interval_ns(cloud.stamp_ns for cloud in clouds) or 0) / 1e9
+    period = (median_interval_ns(cloud.points.stamp_ns for cloud in clouds) or 0) / 1e9
     if len(clouds) < _FEWEST or not period:
         return
     low, high = median([cloud.low for cloud in clouds]), median([cloud.high for cloud in clouds])
@@ -381,7 +347,7 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
         )
 
 
-def _unit_warning(topic: str, times: PointTimes, whole: float, period: float) -> str:
+def _unit_warning(topic: str, times: FieldTimes, whole: float, period: float) -> str:
     """Return the warning that clouds take far too long or too short by their times; empty if packets may be brief."""
     name, unit = times.field, times.unit
     takes = f"a cloud takes {whole:.3g} s, but clouds come every {period:.3g} s"
@@ -408,8 +374,8 @@ def increment_warning(facts: TopicFacts) -> str:
     return f"{facts.topic}: {doubt}: {IN_SECONDS}" if doubt else ""
 
 
-def times_of(point_time: PointTime) -> Fact[PointTimes]:
-    """Return the fact: the times of points in a field."""
+def times_of(point_time: PointTime) -> Fact[FieldTimes]:
+    """Return the fact: the times of points in a field, without the points."""
     return Fact(_times, _CLOUDS, (point_time,))
 
 
@@ -417,39 +383,22 @@ def times_of(point_time: PointTime) -> Fact[PointTimes]:
 TURNS = Fact(lambda points, message: turn_sample(points, message.log_time_ns), TURN_CLOUDS)
 
 
-def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes | None:
+def _times(points: Points, _: RawMessage, point_time: PointTime) -> FieldTimes | None:
     """Return the times of a cloud's points; None if it has none."""
     known = point_time.read(points)
-    if known.measured - known.unknown < 2:
-        return None
-    return PointTimes(points.stamp_ns, known.field, known.low, known.high, known.unit)
+    nothing = Points(points.sequence, points.stamp_ns, points.frame_id, {})
+    return known._replace(points=nothing) if known.measured - known.unknown >= 2 else None
 
 
-def measure_turns(topics: Iterable[TopicFacts], point_time: PointTime) -> tuple[dict[str, Turn], list[str]]:
-    """Measure the rotation of the lidars, if the times of points come from azimuths and that of a turn is not given.
-
-    Parameters
-    ----------
-    topics
-        What was observed.
-    point_time
-        The source of the times.
-
-    Returns
-    -------
-    dict, list of str
-        The turn of each topic that has clouds, and notes for the user.
+def measured_times(facts: TopicFacts, point_time: PointTime) -> tuple[PointTime, list[str]]:
+    """Return the source of the times of a topic's points, with its lidar's turn measured if it is not given; and notes.
 
     Raises
     ------
     ParameterError
-        If a turn cannot be measured in the first clouds of a topic.
+        If a turn cannot be measured in the first clouds.
     """
-    turns: dict[str, Turn] = {}
-    notes: list[str] = []
-    if point_time.turn is not None and not point_time.turn.period:
-        for facts in topics:
-            if samples := facts.values(TURNS):
-                turns[facts.topic], note = measure_turn(facts.topic, point_time.turn, samples)
-                notes.append(note)
-    return turns, notes
+    if point_time.turn is None or point_time.turn.period or not (clouds := facts.values(TURNS)):
+        return point_time, []
+    turn, note = measure_turn(facts.topic, point_time.turn, clouds)
+    return PointTime(turn=turn), [note]

@@ -18,7 +18,8 @@ from pc2scan.advice.measurements import (
     ask_measurements,
     ask_times,
     measure,
-    measure_turns,
+    measured_times,
+    require_cloud_fields,
     time_warnings,
 )
 from pc2scan.advice.odometry import Surroundings, odometry_of
@@ -45,6 +46,7 @@ from .steps import CloudToScan, ConvertedMessage, ScanToCloud
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+    from pc2scan.advice.measurements import Measurements
     from pc2scan.advice.odometry import Odometry
     from pc2scan.advice.survey import TopicFacts
     from pc2scan.bags.reader import Reader
@@ -361,8 +363,11 @@ class _OutputFacts:
             scan = MessagesToScan(spec, topics, placer, timing, grouper, deskews, surroundings)
             prepared.conversions[spec, sources.output.joined] = scan
         if self._alone or not self._sources:
-            measurements, notes = measure(self._alone.values(), spec, placer) if spec.needs_measuring else ({}, [])
-            prepared.add(spec, (), notes)
+            measurements: dict[str, Measurements] = {}
+            for topic, facts in self._alone.items() if spec.needs_measuring else ():
+                require_cloud_fields(facts, spec)
+                measurements[topic], notes = measure(facts, spec, placer)
+                prepared.add(spec, (), notes)
             surroundings = self._surroundings(placer, odometry, prepared)
             deskews = self._deskews(placer, prepared, self._alone, surroundings)
             prepared.conversions[spec, ""] = CloudToScan(spec, placer, measurements, deskews)
@@ -384,20 +389,20 @@ class _OutputFacts:
         self, placer: Placer, prepared: Preparation, topics: Mapping[str, TopicFacts], surroundings: Surroundings | None
     ) -> dict[str, Deskew]:
         """Return what places points at their own times, by topic; nothing without deskewing."""
-        spec, where, facts = self._spec, self._where, topics.values()
+        spec, where = self._spec, self._where
         if where is None:
             return {}
-        turns, notes = measure_turns(facts, where)
-        doubts = [text for topic_facts in facts for text in time_warnings(topic_facts, where)]
-        prepared.add(spec, doubts, notes)
+        doubts = [text for own in topics.values() for text in time_warnings(own, where)]
+        prepared.add(spec, doubts)
         if doubts:
             # Points at wrong times are where odometry that lags would put them.
             surroundings = None
         deskews = {}
-        for topic in topics:
-            own = PointTime(turn=turns[topic]) if topic in turns else where
+        for topic, facts in topics.items():
+            times, notes = measured_times(facts, where)
+            prepared.add(spec, (), notes)
             sample = None if surroundings is None else partial(surroundings.add, topic)
-            deskews[topic] = Deskew(placer, spec.fixed_frame, own, spec.stamp, sample)
+            deskews[topic] = Deskew(placer, spec.fixed_frame, times, spec.stamp, sample)
         return deskews
 
 

@@ -358,13 +358,9 @@ class CloudToScan:
         measurements: Mapping[str, Measurements] | None = None,
         deskews: Mapping[str, Deskew] | None = None,
     ) -> None:
-        params = spec.params
         self.spec, self.placer = spec, placer
         self.measurements, self.deskews = measurements or {}, deskews or {}
-        self._default = Measurements(
-            0.0 if params.scan_time == "auto" else params.scan_time,
-            0.0 if params.time_increment == "auto" else params.time_increment,
-        )
+        self._default = Measurements.given(spec.params)
         self._select = SelectStep(spec.filters, placer, bool(spec.keep_used)) if spec.filters else as_it_is
 
     def steps(self, topic: str) -> Steps:

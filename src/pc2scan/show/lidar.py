@@ -17,7 +17,7 @@ import numpy as np
 
 from pc2scan.advice.checks import judge, request_warnings
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
-from pc2scan.advice.measurements import Measurements, regular_step, shapes_of, time_warnings, times_of
+from pc2scan.advice.measurements import SHAPES, Measurements, regular_step, time_warnings, times_of
 from pc2scan.advice.odometry import floor_tilt
 from pc2scan.advice.survey import Fact
 from pc2scan.conversion.deskew import Deskew
@@ -137,7 +137,7 @@ def _are_whole(masks: Sequence[int]) -> bool:
 _DIRECTIONS = Fact(lambda points, _: directions_of(points), HEADERS, are_enough=_are_whole)
 _PATTERN = Fact(_sparse_points, _MOST_CLOUDS, are_enough=_are_many)
 _TIMES = times_of(PointTime())
-_SHAPE = shapes_of(step=True, sweep=True, most=_SHAPES)
+_SHAPE = replace(SHAPES, most=_SHAPES)
 
 
 @dataclass(eq=False)

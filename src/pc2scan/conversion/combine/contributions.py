@@ -7,14 +7,13 @@ Messages are grouped in order. The held points are then placed as seen at the sc
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
 from pc2scan.advice.clocks import MEASURES, are_doubtful
-from pc2scan.advice.measurements import Measurements, measure, require_fields, unknown_step
+from pc2scan.advice.measurements import Measurements, measure, require_cloud_fields, require_fields
 from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStep, Steps
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import median_low
@@ -387,16 +386,15 @@ def measure_sources(
     output = sources.output
     spec, topics = output.spec, output.sources
     combining, lead = spec.combining, topics[0]
-    notes: list[str] = []
-    timing: Mapping[str, Measurements] = {}
+    measurements, notes = Measurements.given(spec.params), list[str]()
     if spec.needs_measuring:
-        clouds = [facts for topic, facts in sources.facts.items() if topic not in sources.flat]
-        timing, notes = measure(clouds, spec, placer)
-        notes = [note for note in notes if note.startswith(f"{lead}: ")]
+        for topic, facts in sources.facts.items():
+            if topic not in sources.flat:
+                require_cloud_fields(facts, spec)
+        measurements, notes = measure(sources.facts[lead], spec, placer)
     if sources.flat:
         hint = "the beams of a LaserScan have intensity, index, x and y"
         require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", hint)
-    measurements = timing.get(lead) or _of_scans(sources, notes)
     is_default = spec.origins.get("scan_time", "default") == "default"
     if combining.every_ns and (spec.params.scan_time == "auto" or is_default):
         measurements = Measurements(combining.every_ns / 1e9, measurements.time_increment, 0, measurements.azimuth_step)
@@ -455,21 +453,3 @@ def _clocks(sources: SourceFacts, windows: Sequence[int]) -> Iterator[str]:
                 hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
             )
         yield f"{difference}: if their clocks differ, a scan has what was measured that far apart; {MEASURES}"
-
-
-def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
-    """Return the measurements of a leading topic that has LaserScans, or no messages."""
-    params, topic = sources.output.spec.params, sources.output.sources[0]
-    scan_time, step = params.scan_time, 0.0
-    if scan_time == "auto":
-        scan_time = sources.period_ns(topic) / 1e9
-        notes.append(f"{topic}: scan_time is {scan_time:.6g} s, the median interval of its first stamps")
-    if params.beams == "auto":
-        steps = [header.increment for header in sources.firsts(topic)]
-        known = [step for step in steps if step is not None and 0 < step < math.inf]
-        if not known:
-            raise unknown_step(f"no scan on {topic} has an angle_increment")
-        step = median_low(known)
-        count = params.at_resolution(step).layout.count
-        notes.append(f"{topic}: beams is {count:,}: the scans have one every {math.degrees(step):.4g} deg")
-    return Measurements(scan_time, 0.0, 0, step)
