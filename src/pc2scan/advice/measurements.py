@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -327,8 +328,7 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
-    if any(header.turn for header in facts.headers):
-        yield from filter(None, [increment_warning(facts)])
+    yield from filter(None, [increment_warning(facts)])
     topic, clouds = facts.topic, [] if point_time.turn is not None else facts.values(times_of(point_time))
     period = (median_interval_ns(cloud.points.stamp_ns for cloud in clouds) or 0) / 1e9
     if len(clouds) < _FEWEST or not period:
@@ -374,16 +374,17 @@ def increment_warning(facts: TopicFacts) -> str:
     return f"{facts.topic}: {doubt}: {IN_SECONDS}" if doubt else ""
 
 
+@cache
 def times_of(point_time: PointTime) -> Fact[FieldTimes]:
     """Return the fact: the times of points in a field, without the points."""
-    return Fact(_times, _CLOUDS, (point_time,))
+    return Fact(partial(_times, point_time), _CLOUDS)
 
 
 #: What clouds show of how a lidar turns.
 TURNS = Fact(lambda points, message: turn_sample(points, message.log_time_ns), TURN_CLOUDS)
 
 
-def _times(points: Points, _: RawMessage, point_time: PointTime) -> FieldTimes | None:
+def _times(point_time: PointTime, points: Points, _: RawMessage) -> FieldTimes | None:
     """Return the times of a cloud's points; None if it has none."""
     known = point_time.read(points)
     nothing = Points(points.sequence, points.stamp_ns, points.frame_id, {})

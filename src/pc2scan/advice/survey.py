@@ -59,12 +59,10 @@ class Fact(Generic[_Value]):
     Attributes
     ----------
     take
-        Returns it, given a cloud, its message and ``given``. A cloud for which it is None, or raises a `MessageError`,
-        is left out. It must keep no view of the message.
+        Returns it, given a cloud and its message, of which it must keep no view. A cloud for which it is None, or
+        raises a `MessageError`, is left out.
     most
         For how many clouds it is wanted.
-    given
-        Further arguments of ``take``.
     are_enough
         Whether the values of the first clouds are enough; None: so many clouds are wanted. Facts that differ only in
         this, and in their number, are observed once.
@@ -72,7 +70,6 @@ class Fact(Generic[_Value]):
 
     take: Callable[..., _Value | None]
     most: int = field(compare=False)
-    given: tuple[Hashable, ...] = ()
     are_enough: Callable[[Sequence[_Value]], bool] | None = field(default=None, compare=False)
 
 
@@ -234,10 +231,7 @@ class TopicFacts:
         return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer, up) if clouds else None
 
     def _ask(self, fact: Fact[Any], most: int, connections: Sequence[Connection]) -> Observer[Any]:
-        def take(own: Points | LaserScan, message: RawMessage) -> Any:
-            return fact.take(own, message, *fact.given)
-
-        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns, decoded)
+        new = Observer(connections, fact.take, most, self._span.start_ns, self._span.stop_ns, decoded)
         observer = self._observers.setdefault(fact, new)
         observer.most = max(observer.most or 0, most)
         return observer

@@ -25,6 +25,7 @@ from pc2scan.errors import UsageError, name_list
 from pc2scan.messages.beams import scan_points
 from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import LaserScan
+from pc2scan.model import of_types
 from pc2scan.request.filters import Frame
 from pc2scan.transforms.placing import Placement
 
@@ -336,14 +337,9 @@ class SourceFacts:
 
     def __init__(self, output: Output, facts: Mapping[str, TopicFacts]) -> None:
         self.output, self.facts = output, facts
-        combining, params = output.spec.combining, output.spec.params
-        self.flat = [
-            topic
-            for topic in output.sources
-            if any(connection.ros_type in SCANS for connection in facts[topic].connections)
-        ]
-        are_compared = len(facts) > 1 or combining.every_ns or combining.span_ns
-        self._is_compared = are_compared or (self.flat and "auto" in (params.scan_time, params.beams))
+        combining = output.spec.combining
+        self.flat = [topic for topic in output.sources if of_types(facts[topic].connections, SCANS)]
+        self._is_compared = len(facts) > 1 or combining.every_ns or combining.span_ns
         if self._is_compared:
             for topic_facts in facts.values():
                 topic_facts.ask_headers(_HEADERS)
