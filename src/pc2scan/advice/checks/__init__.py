@@ -29,8 +29,7 @@ REQUEST: Mapping[Callable[[OutputRequest], Iterable[str]], set[str]] = {
     plausibility.unused_transforms: {"frames", "transform_tolerance"},
     plausibility.accumulated_without_motion: {"combining"},
     plausibility.returns_without_object: {"reduce"},
-    plausibility.times_in_seconds: {"transform_tolerance", "scan_time", "time_increment"},
-    plausibility.increment_in_degrees: {"angle_increment"},
+    plausibility.values_in_another_unit: {"transform_tolerance", "scan_time", "time_increment", "angle_increment"},
     plausibility.beams_beyond_half_turn: {"angle_min", "angle_max"},
 }
 

@@ -19,17 +19,15 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
     from pc2scan.request.spec import Request, ScanSpec
 
-#: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
-_COARSE = 0.2
-
 #: A warning is worth it if this share of the beams is out of reach.
 _NOTABLE_SHARE = 0.01
 
-#: From so many seconds on, a time is nearly always meant in this smaller unit; and why.
-_LONG = {
-    "transform_tolerance": (5.0, "ms", "a transform of that age is used as if it were current"),
-    "scan_time": (5.0, "ms", "a lidar takes less than a second for a scan"),
-    "time_increment": (0.01, "us", "a lidar takes less than a millisecond from beam to beam"),
+#: From so much on, a value is nearly always meant in a smaller unit than its own; and why.
+_LARGE = {
+    "transform_tolerance": (5.0, "s", "ms", "a transform of that age is used as if it were current"),
+    "scan_time": (5.0, "s", "ms", "a lidar takes less than a second for a scan"),
+    "time_increment": (0.01, "s", "us", "a lidar takes less than a millisecond from beam to beam"),
+    "angle_increment": (0.2, "rad", "deg", "a turn of a lidar has more than 31 beams"),
 }
 
 #: Messages of less time, nanoseconds, are the packets of a turn: together they are a cloud like any other.
@@ -96,25 +94,12 @@ def returns_without_object(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def times_in_seconds(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning for each time that is so long that a smaller unit was probably meant."""
-    for name, (longest, unit, why) in _LONG.items():
-        seconds = getattr(request.spec.params, name)
-        if name in request.given and not isinstance(seconds, str) and seconds >= longest:
-            yield f"{name} is {seconds:g} s, and {why}; for {seconds:g} {unit} write `{name}={seconds:g}{unit}`"
-
-
-def increment_in_degrees(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning if beams are so wide that degrees were probably meant."""
-    params, origins = request.spec.params, request.spec.origins
-    increment = params.angle_increment
-    if request.spec.reverse or params.beams or origins.get("angle_increment", "default") == "default":
-        return
-    if increment >= _COARSE:
-        yield (
-            f"angle_increment is {increment:g} rad, which is {math.degrees(increment):.3g} degrees a beam: "
-            f"{params.length} beams; for {increment:g} deg write `angle_increment={increment:g}deg`"
-        )
+def values_in_another_unit(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning for each value that is so large that a smaller unit was probably meant."""
+    for name, (largest, unit, smaller, why) in _LARGE.items():
+        value = getattr(request.spec.params, name)
+        if name in request.given and not isinstance(value, str) and value >= largest:
+            yield f"{name} is {value:g} {unit}, and {why}; for {value:g} {smaller} write `{name}={value:g}{smaller}`"
 
 
 def beams_beyond_half_turn(request: OutputRequest) -> Iterator[str]:
