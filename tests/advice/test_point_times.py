@@ -95,7 +95,7 @@ def test_times_that_are_right_draw_none(case: dict[str, Any]) -> None:
         ),
         (
             {"stored": lambda seconds: np.round(seconds * 1e5), "kind": "<u4"},
-            "are in no unit that fits, as ns a cloud takes 1e-05 s, but clouds come every 0.1 s",
+            "are taken for ns: a cloud takes 1e-05 s, but clouds come every 0.1 s; `point_time=FIELD` names another",
         ),
         (
             {"stored": lambda seconds: seconds + T0 / 1e9 + 0.3},

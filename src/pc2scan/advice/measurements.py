@@ -350,20 +350,17 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 def _unit_warning(topic: str, times: FieldTimes, whole: float, period: float) -> str:
     """Return the warning that clouds take far too long or too short by their times; empty if packets may be brief."""
     name, unit = times.field, times.unit
-    takes = f"a cloud takes {whole:.3g} s, but clouds come every {period:.3g} s"
     likely = [other for other, size in TIME_UNITS.items() if _ABOUT[0] < whole / unit * size / period < _ABOUT[1]]
+    if not likely and not is_brief(whole, period):
+        return ""
     used = next(other for other, size in TIME_UNITS.items() if size == unit)
+    cure = f"`point_time=FIELD` names another field, and {BY_AZIMUTH}"
     if likely:
-        return (
-            f"{topic}: the times of the points, field {name}, are taken for {used}: {takes}; "
-            f"`point_time={name}:{likely[0]}`, if they are {likely[0]}"
-        )
-    if is_brief(whole, period):
-        return (
-            f"{topic}: the times of the points, field {name}, are in no unit that fits, as {used} {takes}: deskewing "
-            f"hardly moves a point; `point_time=FIELD` names another field, and {BY_AZIMUTH}"
-        )
-    return ""
+        cure = f"`point_time={name}:{likely[0]}`, if they are {likely[0]}"
+    return (
+        f"{topic}: the times of the points, field {name}, are taken for {used}: a cloud takes {whole:.3g} s, but "
+        f"clouds come every {period:.3g} s; {cure}"
+    )
 
 
 def increment_warning(facts: TopicFacts) -> str:

@@ -60,9 +60,6 @@ _OF_ALL = 0.85
 #: Directions are compared in this many sectors of a turn.
 DIRECTIONS = 90
 
-#: Numbers of turns that an unorganised cloud cannot have: its points go round once, or once for each of many rings.
-_TWO_OR_THREE = (1.5, 3.5)
-
 #: The longest delay from stamp to log time, as a share of the turn, that proves the stamp to be that of the last point:
 #: no cloud is logged before its last point is measured. A longer delay proves nothing, because drivers may need it.
 _OF_LAST = 0.4
@@ -329,12 +326,11 @@ def measure_turn(topic: str, given: Turn, clouds: Sequence[TurnSample]) -> tuple
     regular = sum(abs(interval / period - max(1, round(interval / period))) <= _JITTER for interval in intervals)
     covered = median([cloud.directions.bit_count() for cloud in clouds]) / DIRECTIONS
     union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / DIRECTIONS
-    turns = median([abs(cloud.turns) for cloud in clouds])
     if regular < max(_FEWEST, _REGULAR * len(intervals)) or period > _LONGEST:
         spread = f"{min(intervals, default=0):.4g} to {max(intervals, default=0):.4g} s"
         why = f"{len(stamps)} different stamps with intervals of {spread}, {_FEWEST} regular ones are needed"
-    elif covered < max(_SEEN, _OF_ALL * union) or _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
-        why = f"they cover {covered:.0%} of all directions, together {union:.0%}, and go round {turns:.1f} times"
+    elif covered < max(_SEEN, _OF_ALL * union):
+        why = f"they cover {covered:.0%} of all directions, together {union:.0%}"
     else:
         # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
         turn = given._replace(period=float(f"{period:.4g}"))
