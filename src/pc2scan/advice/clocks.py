@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from .survey import Span, Survey, TopicFacts
 
-#: The stamps in a message, and the delays from these to its log time, nanoseconds, with the child frames of transforms.
+#: The stamps in messages, with the child frames of transforms, and the delays from these to the log times, nanoseconds.
 Delays: TypeAlias = "list[tuple[str, int, int]]"
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
@@ -176,25 +176,27 @@ class Clocks:
             # Stamps that are all 0 are of no clock.
             if not any(stamp_ns for _, stamp_ns, _ in own):
                 continue
-            delays = [delay_ns for _, _, delay_ns in own]
-            delay_ns = median_low(delays)
+            delay_ns = median_low([delay_ns for _, _, delay_ns in own])
             other = min(medians, key=lambda name: abs(delay_ns - medians[name]), default="")
-            behind_ns = delay_ns - medians.get(other, 0)
             alike = (delays for delays in others.values() if not are_doubtful(delay_ns, median_low(delays)))
             is_played = not motion and (self._is_simulated or any(alike))
-            clocks[topic] = Clock(other)
-            if not are_doubtful(delay_ns, medians.get(other, 0)) or is_played:
-                continue
-            against = f"those of {other}, compared with their log times" if other else "their log times"
-            how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
-            scale = next((s for s in _TIME_SCALES if abs(behind_ns + s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
-            cause = "" if scale is None else f" ({_TIME_SCALES[scale]})"
-            if behind_ns > _DAY_NS and 0 <= own[0][1] < _LONG_AGO_NS:
-                cause = " (its clock counts from its start)"
-            offset_ns = min(delays) - self._last_point_ns(topic) - min(motion.get(other, [0]))
-            text, option = f"the stamps of {topic} are {how}{cause}", "auto" if scale is None else f"-{scale}s"
-            clocks[topic] = Clock(other, text, option, offset_ns, max(delays) - min(delays))
+            is_doubtful = are_doubtful(delay_ns, medians.get(other, 0)) and not is_played
+            clocks[topic] = self._doubtful(topic, own, other, motion.get(other, [0])) if is_doubtful else Clock(other)
         return clocks
+
+    def _doubtful(self, topic: str, own: Delays, other: str, compared: Sequence[int]) -> Clock:
+        """Return the clock of a topic, given the delays of its messages, and those of the topic it differs from."""
+        delays = [delay_ns for _, _, delay_ns in own]
+        behind_ns = median_low(delays) - median_low(compared)
+        against = f"those of {other}, compared with their log times" if other else "their log times"
+        how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
+        scale = next((s for s in _TIME_SCALES if abs(behind_ns + s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+        cause = "" if scale is None else f" ({_TIME_SCALES[scale]})"
+        if behind_ns > _DAY_NS and 0 <= own[0][1] < _LONG_AGO_NS:
+            cause = " (its clock counts from its start)"
+        text, option = f"the stamps of {topic} are {how}{cause}", "auto" if scale is None else f"-{scale}s"
+        offset_ns = min(delays) - self._last_point_ns(topic) - min(compared)
+        return Clock(other, text, option, offset_ns, max(delays) - min(delays))
 
     def _last_point_ns(self, topic: str) -> int:
         """Return how long after its stamp the last point of a cloud is measured, nanoseconds; 0 if it is not known."""
@@ -220,7 +222,7 @@ def _observers(connections: Iterable[Connection], most: int, span: Span) -> dict
 
 
 def _delays(message: RawMessage) -> Delays:
-    """Return the stamps in a message, and their delays."""
+    """Return the child frames and the stamps of transforms, or the stamp of another message, and the delays."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
     if kind in TF_TYPES:
         transforms = decode_transforms(message.data, serialization)

@@ -126,6 +126,8 @@ def corrected(
                 f"`time_offset={topic}=auto` measures what corrects them"
             )
             remarks[text] = None
+    # Stamps that are all 0 stay so.
+    offsets |= {topic: 0 for topic, offset in offsets.items() if offset is None}
     if clock.by_log:
         offsets |= dict.fromkeys(offsets.keys() - own.keys())
     moved = {topic: partial(_moved, offset, fields, remarks) for topic, offset in offsets.items() if offset != 0}
