@@ -44,9 +44,6 @@ _OTHER_CLOCK_NS = 500_000_000
 _BEFORE_NS = -20_000_000
 _SMALL_NS = 100_000_000
 
-#: Messages with simulated time.
-_CLOCK = "rosgraph_msgs/msg/Clock"
-
 #: How far time scales are ahead of UTC, seconds.
 _TIME_SCALES = {
     37: "PTP counts TAI, which is 37 s ahead of UTC",
@@ -145,7 +142,6 @@ class Clocks:
         for facts in self._clouds.values():
             facts.ask(times_of(PointTime()))
         self._own = _observers(own, most, survey.span)
-        self._is_simulated = compared is None and bool(of_types(connections, {_CLOCK}))
         motion = moving(connections, survey.frames.tf_topics) if compared is None else compared
         self._motion = _observers(motion, MOTIONS, survey.span)
         stamped = of_types(connections, STAMPED) if compared is None else []
@@ -165,8 +161,8 @@ class Clocks:
         """Return the clocks of topics, once the survey was read.
 
         Stamps are compared with those of moving transforms; without any, with those of other topics. If all stamps are
-        far from the log times (a simulation, or a recording that was played back), none are wrong. A difference that a
-        slow driver makes is none.
+        far from the log times (a recording that was played back), none are wrong. A difference that a slow driver makes
+        is none.
         """
         clocks = {}
         motion, others = _nearest_of(self._motion), _nearest_of(self._others)
@@ -179,7 +175,7 @@ class Clocks:
             delay_ns = median_low([delay_ns for _, _, delay_ns in own])
             other = min(medians, key=lambda name: abs(delay_ns - medians[name]), default="")
             alike = (delays for delays in others.values() if not are_doubtful(delay_ns, median_low(delays)))
-            is_played = not motion and (self._is_simulated or any(alike))
+            is_played = not motion and any(alike)
             is_doubtful = are_doubtful(delay_ns, medians.get(other, 0)) and not is_played
             clocks[topic] = self._doubtful(topic, own, other, motion.get(other, [0])) if is_doubtful else Clock(other)
         return clocks
