@@ -114,9 +114,9 @@ class CloudShape(NamedTuple):
 
     frame_id: str
     stamp_ns: int
-    step: float | None = None
-    sweep: Sweep | None = None
-    time_field: str = ""
+    step: float | None
+    sweep: Sweep | None
+    time_field: str
 
 
 @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
@@ -192,15 +192,14 @@ def measure(facts: TopicFacts, spec: ScanSpec, placer: Placer) -> tuple[Measurem
     """
     params, topic, notes = spec.params, facts.topic, list[str]()
     shapes = facts.values(SHAPES) if _needs_shapes(params) else []
-    step, stamps = 0.0, [header.stamp_ns for header in facts.headers]
-    if params.beams == "auto" and stamps:
-        step = _resolution(facts, shapes)
-        layout = params.at_resolution(step).layout
+    stamps = [header.stamp_ns for header in facts.headers]
+    step = _resolution(facts, shapes) if params.beams == "auto" and stamps else 0.0
+    layout = (params.at_resolution(step) if step else params).layout
+    if step:
         notes.append(
             f"{topic}: beams is {layout.count:,}, angle_increment {layout.angle_increment:.6g} rad: the lidar measures "
             f"every {math.degrees(step):.4g} deg"
         )
-    layout = (params.at_resolution(step) if step else params).layout
     scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
     if scan_time == "auto":
         interval = median_interval_ns(stamps[:STAMPS])
