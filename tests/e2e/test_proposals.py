@@ -73,7 +73,7 @@ WORLDS = {
     "no mount, no floor": (World(CELL, (), "16 rings", at(1.7), has_mount=False, odometry=""), "no floor is visible"),
     "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
     "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "is upside down"),
-    "two rings that turn the wrong way": (World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), "is upside down"),
+    "two rings that turn wrong": (World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), "is upside down"),
 }
 
 
