@@ -223,8 +223,10 @@ def lines_of(
             yield f"  {spelled(part)}" if isinstance(part, Call) else spelled(part)
 
 
-def json_value(value: Any) -> Any:
+def json_value(value: Any, text: Callable[[str], str] = str) -> Any:
     """Return a value as JSON's types: infinities and NaNs are text, objects are dictionaries of their attributes.
+
+    ``text`` is called with all texts and keys.
 
     >>> json_value({"range_max": float("inf"), "angles": (0.5, float("nan"))})
     {'range_max': 'inf', 'angles': [0.5, 'nan']}
@@ -233,18 +235,20 @@ def json_value(value: Any) -> Any:
         return value.value
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
-    if value is None or isinstance(value, str | int):
+    if isinstance(value, str):
+        return text(value)
+    if value is None or isinstance(value, int):
         return value
     if isinstance(value, dict):
-        return {key: json_value(part) for key, part in value.items()}
+        return {text(key): json_value(part, text) for key, part in value.items()}
     if isinstance(value, Path):
         # Not os.fspath: that of a URL has its secrets.
         return str(value)
     if hasattr(value, "as_dict"):
-        return json_value(value.as_dict())
+        return json_value(value.as_dict(), text)
     if is_dataclass(value) or hasattr(value, "_fields"):
-        return {name: json_value(getattr(value, name)) for name in _names(value)}
-    return [json_value(part) for part in value]
+        return {name: json_value(getattr(value, name), text) for name in _names(value)}
+    return [json_value(part, text) for part in value]
 
 
 def _names(value: Any) -> tuple[str, ...]:

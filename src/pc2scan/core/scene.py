@@ -230,14 +230,14 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> _Points:
         # Without a copy of an organised cloud, whose rows may be padded.
         places = np.unravel_index(order, x.shape)
         points = np.stack([np.asarray(part[places], np.float64) for part in (x, y, z)], axis=1)
-        # The nearest points are the robot itself, or no returns.
-        good = (np.abs(points).max(axis=1, initial=0) < 1e4) & (_distances(points) > 0.05)
+        # The nearest points are the robot itself, or no returns; the farthest may be in millimetres.
+        good = (np.abs(points).max(axis=1, initial=0) < 1e7) & (_distances(points) > 0.05)
     return np.asarray(points[good])
 
 
 def cells_of(points: _Points) -> _Points:
     """Return one point per cell, sorted by place: a spinning lidar measures near objects a hundred times as densely."""
-    # Twenty-one bits for each coordinate: cells are at least 1 cm, and points are within 10 km.
+    # Twenty-one bits for each coordinate: cells are at least 1 cm, and points in metres are within 10 km.
     keys = np.floor(points / min(0.3, max(0.01, 0.05 * median(_distances(points))))).astype(np.int64) + (1 << 20)
     _, first = np.unique(keys[:, 0] << 42 | keys[:, 1] << 21 | keys[:, 2], return_index=True)
     return points[first]

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from pc2scan.advice.checks.plausibility import log_times_of_centuries
 from pc2scan.advice.clocks import Clocks
 from pc2scan.advice.measurements import increment_warning, time_warnings
@@ -41,7 +43,7 @@ from .topic_content import CloudInfo, ScanTopic, ShownCloud, TopicCheck, describ
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.advice.survey import TopicFacts
@@ -269,15 +271,14 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
         given: Mapping[str, Any] = options.among({*OF_FRAMES, "cloud_scale"})
         shown = _described(topics, options.topics, types_by_topic(reader.connections))
-        surveyed_by = partial(_SurveyResult, shown, samples, recorded, options.target_frame)
-        others, span = open_recordings(frames.tf_from, stack), Span(None, None, start_ns or 0)
-        first = surveyed = surveyed_by(Survey(reader, others, frames, span))
-        if options.cloud_scale == 1 and 0 < len(first.clouds) == len(first.unit_warnings):
+        survey = Survey(reader, open_recordings(frames.tf_from, stack), frames, Span(None, None, start_ns or 0))
+        surveyed = _SurveyResult(shown, samples, recorded, options.target_frame, survey)
+        if options.cloud_scale == 1 and 0 < len(surveyed.clouds) == len(surveyed.unit_warnings):
             # Cameras and lidars count in millimetres; the warning has the other reading.
-            reader, given = scaled(reader, 0.001), {**given, "cloud_scale": 0.001}
-            surveyed = surveyed_by(Survey(reader, others, frames, span))
+            given = {**given, "cloud_scale": 0.001}
+            surveyed.scale(0.001)
         warnings = [*log_times_of_centuries(reader.summary), *(clock.warning for clock in surveyed.clocks.values())]
-        warnings += (*first.unit_warnings, *surveyed.warnings)
+        warnings += (*surveyed.unit_warnings, *surveyed.warnings)
         clouds, lidars = list[CloudInfo](), list[Lidar]()
         for topic, own in surveyed.clouds.items():
             mounting, is_own = surveyed.mountings[topic]
@@ -286,7 +287,7 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             if not placed or mounting is None:
                 warnings.append(f"{topic}: no command is proposed: none of its first clouds can be placed")
                 continue
-            if mounting.heights is None and cloud.limits and not first.unit_warnings:
+            if mounting.heights is None and cloud.limits and not surveyed.unit_warnings:
                 warnings.append(unit_warning(topic, far_away(mounting.samples[0])))
             # Where the robot moves in the frame of these points, its own body is not at one place.
             few = [(own.stamp_ns, own.points[:, :: -(-own.points.shape[1] // POINTS) or 1]) for own in placed if is_own]
@@ -417,8 +418,7 @@ class _SurveyResult:
         self.clocks = clocks.findings()
         # Only by corrected stamps is it known where the robot was.
         for topic, clock in self.clocks.items():
-            for values in (self.clouds[topic], *(observer.values for observer in clouds[topic].observers)):
-                values[:] = [_moved(value, clock.offset_ns) for value in values]
+            self._change(topic, partial(_moved, clock.offset_ns))
         self.warnings += filter(None, (increment_warning(scan) for scan in flat.values()))
         self.warnings += (text for topic_facts in self.facts.values() for text in stamp_faults(topic_facts))
         self.ups: dict[str, UpEstimate] = {}
@@ -431,6 +431,17 @@ class _SurveyResult:
         # How far a world's origin is from the sensor is not known.
         known = [own for own, _ in self.mountings.values() if own and own.judged_in.removeprefix("/") not in WORLDS]
         self.unit_warnings = [unit_warning(own.topic, far) for own in known if (far := far_away(own.samples[0]))]
+
+    def scale(self, factor: float) -> None:
+        """Multiply the coordinates of all clouds."""
+        for topic in self.clouds:
+            self._change(topic, partial(_scaled, factor))
+        self.mountings = {topic: self.mounting(topic) for topic in self.clouds}
+
+    def _change(self, topic: str, change: Callable[[Any], Any]) -> None:
+        """Change all that is known of the clouds of a topic."""
+        for values in (self.clouds[topic], *(observer.values for observer in self.facts[topic].observers)):
+            values[:] = map(change, values)
 
     def mounting(self, topic: str, up: float = 0.0) -> tuple[Mounting | None, bool]:
         """Return how the clouds of a topic are mounted on the robot, and whether in the frame of their description.
@@ -503,7 +514,17 @@ class _SurveyResult:
             yield f"{topic}: {moving.of_source(source, own.removeprefix('/'))}"
 
 
-def _moved(value: Any, offset_ns: int) -> Any:
+def _scaled(factor: float, value: Any) -> Any:
+    """Return what is known of a cloud with multiplied coordinates, if it has any."""
+    if isinstance(value, CloudSample):
+        return replace(value, points=value.points * factor)
+    columns = value.points if isinstance(value, ShownCloud) else value
+    if isinstance(columns, np.ndarray):
+        columns[:3] *= factor
+    return value
+
+
+def _moved(offset_ns: int, value: Any) -> Any:
     """Return what is known of a message with a later stamp, if it has one."""
     if isinstance(value, CloudSample):
         # In place, so that its ground is not found again.

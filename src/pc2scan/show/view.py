@@ -17,7 +17,6 @@ import json
 import math
 import re
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from html import escape
@@ -39,7 +38,7 @@ from pc2scan.model import of_types
 from pc2scan.options.call import Options, call_words
 from pc2scan.options.table import PARAMETERS, options_of
 from pc2scan.parsing import conversion_of, first_output
-from pc2scan.result import Call
+from pc2scan.result import Call, json_value
 from pc2scan.text import counted, moment_text
 from pc2scan.transforms.static import added_transforms
 
@@ -48,7 +47,7 @@ from .info import info_of
 from .shots import Picture, chosen_messages, damage_of, opened, take_shots, title_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -245,19 +244,12 @@ def _collect(name: str, modules: dict[str, str]) -> None:
 
 
 def _data(description: Mapping[str, Any], blobs: dict[str, bytes]) -> Iterator[str]:
-    text = json.dumps(_visible(description), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
+    # Browsers obey marks of direction.
+    safe = json_value(description, partial(visible, most=None))
+    text = json.dumps(safe, allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
     yield f'<script type="application/json" id="recording">{text}</script>'
     for name in list(blobs):
         yield f'\n<script type="text/plain" id="{name}">{base64.b64encode(blobs.pop(name)).decode()}</script>'
-
-
-def _visible(value: Any) -> Any:
-    """Return JSON's types with all names as safe text: browsers obey marks of direction."""
-    if isinstance(value, str):
-        return visible(value, None)
-    if isinstance(value, Mapping):
-        return {visible(key, None): _visible(part) for key, part in value.items()}
-    return [_visible(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _digest(text: str) -> str:
@@ -397,11 +389,11 @@ def _packed(blobs: dict[str, bytes], most: int, shot: Shot) -> Shot:
 
 
 def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
-    """Return the parameters that the page has. Infinity is text, because JSON has no infinite numbers."""
+    """Return the parameters that the page has."""
     values = {name: getattr(params, name) for name in _SHOWN}
     if params.beams == "auto":
         values["beams"] = 0
-    return {name: str(v) if isinstance(v, float) and math.isinf(v) else v for name, v in values.items()}
+    return values
 
 
 def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
