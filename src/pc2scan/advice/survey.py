@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pc2scan.transforms.placing import FrameOptions, Placement, Placer
 
 #: Clouds that are registered in a world's frame are judged from so far above the robot's frame, metres.
-_ABOVE_ROBOT = 0.5
+ABOVE_ROBOT = 0.5
 
 #: Transforms begin so much later than clouds, nanoseconds; and how many packets are sampled until then.
 _LATE_NS, _MOST_SAMPLES = 1_000_000_000, 400
@@ -95,7 +95,7 @@ def placed_sample(sample: CloudSample, place: Placement) -> CloudSample:
     """
     frame, moved, own = place.frame_id, place.target_from_source, sample.frame_id.removeprefix("/")
     if own in BODIES or (own in WORLDS and moved is not None):
-        above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, _ABOVE_ROBOT * (frame.removeprefix("/") in BODIES)))
+        above = Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, ABOVE_ROBOT * (frame.removeprefix("/") in BODIES)))
         points = (sample.points if moved is None else moved.apply(sample.points)) - above.translation
         return replace(sample, judged_in=frame, points=points, transform=above, zeros=0)
     if moved is None:

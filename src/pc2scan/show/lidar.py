@@ -19,7 +19,7 @@ from pc2scan.advice.checks import judge, request_warnings
 from pc2scan.advice.checks.first_clouds import CloudFacts, KnownTransforms
 from pc2scan.advice.measurements import SHAPES, Measurements, regular_step, time_warnings, times_of
 from pc2scan.advice.odometry import floor_tilt
-from pc2scan.advice.survey import Fact
+from pc2scan.advice.survey import ABOVE_ROBOT, Fact
 from pc2scan.conversion.deskew import Deskew
 from pc2scan.conversion.report import StampCounts
 from pc2scan.conversion.steps import CloudToScan, PlaceStep
@@ -33,7 +33,7 @@ from pc2scan.options.call import Options
 from pc2scan.parsing import conversion_of
 from pc2scan.request.filters import Frame
 from pc2scan.request.point_time import DIRECTIONS, PointTime, directions_of
-from pc2scan.transforms.frames import WORLDS
+from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import sensor_motion
 from pc2scan.transforms.placing import Placer, UpByFrame, UpByImu
 from pc2scan.transforms.static import StaticTransform
@@ -323,8 +323,9 @@ class Lidar:
 
     @property
     def sensor(self) -> NDArray[np.float64]:
-        """The position of the sensor in the frame of the scans, or of the robot if clouds are registered."""
-        return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
+        """The position of the sensor in the frame of the scans; it is above the robot's if clouds are in this one."""
+        above = ABOVE_ROBOT * (self.moving_frame.removeprefix("/") in BODIES)
+        return np.asarray(self.in_target(np.array([[0.0], [0.0], [above]]), self.moving_frame)[0])
 
     @property
     def merges(self) -> bool:
