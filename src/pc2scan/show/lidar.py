@@ -323,9 +323,8 @@ class Lidar:
 
     @property
     def sensor(self) -> NDArray[np.float64]:
-        """The position of the sensor in the frame of the scans; it is above the robot's if clouds are in this one."""
-        above = ABOVE_ROBOT * (self.moving_frame.removeprefix("/") in BODIES)
-        return np.asarray(self.in_target(np.array([[0.0], [0.0], [above]]), self.moving_frame)[0])
+        """The position of the sensor in the frame of the scans, or of the robot if clouds are registered."""
+        return np.asarray(self.in_target(np.zeros((3, 1)), self.moving_frame)[0])
 
     @property
     def merges(self) -> bool:
@@ -541,7 +540,9 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     # From a floor that is not known, nothing rises.
     floor = None if heights is None else heights.floor
     low = math.inf if floor is None else params.min_height
-    lies = [are_ground(xyz, low, lidar.sensor[2] - (floor or 0.0)) for xyz in seen]
+    # From where clouds in the robot's frame were seen is not known.
+    height = ABOVE_ROBOT if lidar.moving_frame.removeprefix("/") in BODIES else lidar.sensor[2] - (floor or 0.0)
+    lies = [are_ground(xyz, low, height) for xyz in seen]
     slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, lies, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
     marked = []
