@@ -292,9 +292,8 @@ def info_of(readers: Sequence[Reader], options: Options, frames: FrameOptions, s
             # Where the robot moves in the frame of these points, its own body is not at one place.
             few = [(own.stamp_ns, own.points[:, :: -(-own.points.shape[1] // POINTS) or 1]) for own in placed if is_own]
             of_robot = recorded, reader.connections, surveyed.known_ns, surveyed.clocks.get(topic), surveyed.ups
-            facts = surveyed.facts[topic]
-            has_zeros = cloud.zero_share > 0 or any(sample.zeros for sample in facts.values(SAMPLES))
-            lidar = Lidar(facts, mounting, surveyed.buffer, few, has_zeros, *of_robot)
+            has_zeros = cloud.zero_share > 0 or any(sample.zeros for sample in surveyed.facts[topic].values(SAMPLES))
+            lidar = Lidar(surveyed.facts[topic], mounting, surveyed.buffer, few, has_zeros, *of_robot)
             lidars.append(surveyed.on_robot(lidar, warnings))
             clouds[-1] = replace(cloud, mounting=lidars[-1].mounting._replace(samples=()))
         instead = instead_of_clouds(reader.connections)

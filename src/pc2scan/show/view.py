@@ -391,9 +391,7 @@ def _packed(blobs: dict[str, bytes], most: int, shot: Shot) -> Shot:
 def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:
     """Return the parameters that the page has."""
     values = {name: getattr(params, name) for name in _SHOWN}
-    if params.beams == "auto":
-        values["beams"] = 0
-    return values
+    return values | {"beams": 0 if params.beams == "auto" else params.beams}
 
 
 def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
