@@ -47,6 +47,9 @@ _MOST_FLOOR, _FEWEST_BEAMS = 0.3, 20
 #: above this have none of them.
 _OVERLOOKED, _NOTHING_LOW = 0.4, 1.5
 
+#: A sensor that is at least this far below the frame of the scans may be above it, metres.
+_BELOW = 0.1
+
 #: Half of a floor this far below the lower limit of z, metres, is above it, because ranges are noisy.
 _NOISE = 0.02
 
@@ -357,9 +360,10 @@ def heights_above_floor(clouds: CloudFacts) -> Iterator[str]:
     if spec.is_default("min_height") or floor is None:
         return
     above = low - sample.origin[2] + floor.height
-    # If the sensor is below the robot's frame, and the heights are above it, z may have the wrong sign.
-    most = _OVERLOOKED if sample.origin[2] < 0 < low else _NOTHING_LOW
-    if target and target.removeprefix("/") in BODIES and above > most:
+    # If the sensor is below the frame, and the heights are above it, z may have the wrong sign.
+    is_below = sample.origin[2] < -_BELOW and low > 0
+    is_robot = target.removeprefix("/") in BODIES
+    if target and (is_robot or is_below) and above > (_OVERLOOKED if is_below else _NOTHING_LOW):
         cure = "is another `cloud_scale` right, or another transform (the parent comes first)?"
     elif not target and low > 0 and above > _OVERLOOKED and clouds.mounting.target_frame in BODIES:
         cure = f"heights above the floor: {clouds.advice}"
