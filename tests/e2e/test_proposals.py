@@ -71,8 +71,8 @@ WORLDS = {
     "car park, no mount": (World(GARAGE, PARKED, "16 rings", at(2.43), has_mount=False, odometry=""), ""),
     "base_link at the height of an axle": (World(HALL, DESKS, "32 rings", at(0.6), axle=0.2), ""),
     "no mount, no floor": (World(CELL, (), "16 rings", at(1.7), has_mount=False, odometry=""), "no floor is visible"),
-    "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "is upside down"),
-    "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "is upside down"),
+    "upside down, which tf does not say": (World(HALL, DESKS, "16 rings", UPSIDE_DOWN, claim=0.0), "with -z up"),
+    "upright, and upside down by tf": (World(ROOM, DESKS, "32 rings", at(1.7), claim=180.0), "with -z up"),
     "two rings that turn wrong": (World(HALL, DESKS, "2 rings", UPSIDE_DOWN, "drives", claim=0.0), "is upside down"),
 }
 

@@ -192,12 +192,12 @@ def mounting(
     samples, transform = [cloud.points for cloud in clouds], clouds[0].transform
     recorded = 0.0 if transform is None else _recorded_floor(buffer, judged_in, stamp_ns)
     looks = [cloud.ground for cloud in clouds]
-    ground = common_ground(looks) if transform is None else _believed(samples, origin_z - recorded, max(up, 0.0))
+    ground = common_ground(looks) if transform is None else _believed(samples, origin_z - recorded, up)
     # In a world's frame, z points up.
     ground = Ground("unknown") if ground.off and frame.removeprefix("/") in WORLDS else ground
     seen = Mounting(topic, frame, judged_in, ground, samples)
     if transform is not None:
-        if wrong := _wrong(seen, ground, judged_in, transform, recorded, max(up, 0.0)):
+        if wrong := _wrong(seen, ground, judged_in, transform, recorded, up):
             return wrong
         heights = suitable_heights(ground, samples, frame=judged_in, origin_z=origin_z, recorded=recorded)
         return seen._replace(fault=_fault(ground) if ground.off else "", heights=heights)
@@ -264,7 +264,7 @@ def _mounted_on(seen: Mounting, parent: str, parent_from_frame: Rigid, heights: 
 
 
 def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Ground, recorded: float) -> Mounting:
-    """Return the mounting with the recorded transform rotated until the ground is level.
+    """Return the mounting with the recorded transform turned over if that is all, or rotated until the ground is level.
 
     ``ground`` is the ground by the recorded transform; the samples are in its axes; for ``recorded``, see
     `suitable_heights`.
@@ -278,6 +278,10 @@ def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Gr
     own = Ground("optical" if is_camera else "tilted", ground.up and (up[0], up[1], up[2]))
     roll, pitch, yaw = own.level_from_frame
     right = Rigid.from_rpy(roll, pitch, yaw + math.atan2(y, x), target_from_frame.translation)
+    # The tilt that is left is that of the robot, or of the ground. A camera that is turned over looks ahead.
+    over = Rigid.from_rpy(0.0, 0.0, math.pi) if is_camera and x > 0 else Rigid.from_rpy(math.pi, 0.0, 0.0)
+    over = target_from_frame.compose(over)
+    right = over if over.matrix[2] @ up > math.cos(LEVEL) else right
     moved = [right.rotation.apply(points @ matrix) for points in seen.samples]
     corrected = _believed(moved, height - recorded, 1.0)
     heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
@@ -302,8 +306,7 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int, up: f
                 heights = suitable_heights(ground, seen.samples, moved)
                 return seen._replace(fault=_fault(ground), target_frame=name, heights=heights)
         return None
-    name, mount = body
-    body_from_frame = mount.compose(Rigid.from_rpy(math.pi, 0.0, 0.0)) if up < 0 else mount
+    name, body_from_frame = body
     recorded = _recorded_floor(buffer, name, stamp_ns)
     height = float(body_from_frame.translation[2]) - recorded
     samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
@@ -316,9 +319,6 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int, up: f
     if (wrong := _wrong(placed, body_ground, name, body_from_frame, recorded, up)) or body_ground.off or is_slanted:
         return wrong
     heights = suitable_heights(body_ground, samples, frame=name, origin_z=height + recorded, recorded=recorded)
-    if up < 0:
-        over = f"upside down against its transform to {name!r}, by how it turns, or by an IMU"
-        return _mounted_on(seen, name, body_from_frame, heights)._replace(fault=over)
     # The transform says which of the slanted planes is the floor.
     fault = "" if ground.kind == "slanted" and tilt > LEVEL else _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
@@ -334,6 +334,10 @@ def _wrong(seen: Mounting, ground: Ground, target: str, moved: Rigid, recorded: 
 
     ``ground`` is the ground by the transform, in whose axes the samples are; for ``recorded``, see `suitable_heights`.
     """
+    if up < 0:
+        x, y, z = (moved.matrix * (1.0, -1.0, -1.0) @ moved.matrix[2]).tolist()
+        over = _corrected(seen, target, moved, Ground("upside-down", (x, y, z)), recorded)
+        return over._replace(fault=f"upside down against its transform to {target!r}, by how it turns, or by an IMU")
     height, samples = float(moved.translation[2]) - recorded, seen.samples
     floors = [floor for points in samples if (floor := floor_elsewhere(points, moved.matrix, height, ground))]
     # A level floor elsewhere contradicts the transform, too.
@@ -341,12 +345,9 @@ def _wrong(seen: Mounting, ground: Ground, target: str, moved: Rigid, recorded: 
     if not floors or 2 * len(floors) < len(samples) or is_ceiling:
         is_known = ground.off and "slanted" not in {seen.ground.kind, ground.kind}
         return _corrected(seen, target, moved, ground, recorded) if is_known else None
-    floor, normal, tilted = floors[0], floors[0].normal, f"tilted by {math.degrees(floors[0].tilt):.1f} deg"
-    how = "on its side" if abs(normal[2]) < 0.5 else "upside down" if normal[2] < 0 else tilted
-    fault = (
-        f"placed by a wrong transform: {target} is {how} by it, with {_direction(normal)} up, if the floor is the "
-        f"plane that is {floor.height:.2f} m away; expected z up"
-    )
+    floor = floors[0]
+    how = f"tilted by {math.degrees(floor.tilt):.1f} deg by it, with {_direction(floor.normal)} up"
+    fault = f"placed by a wrong transform: {target} is {how}, if the floor is the plane {floor.height:.2f} m away"
     return _corrected(seen, target, moved, floor, recorded)._replace(fault=fault)
 
 
