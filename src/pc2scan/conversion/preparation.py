@@ -418,9 +418,7 @@ def _robot_transforms(reader: Reader, request: Request, span: Span) -> Transform
     return None
 
 
-#: How many messages of a topic are read at most, to find clouds that can be converted; and how many of them must lack
-#: transforms before a user is warned.
-_MOST_READ = 30
+#: How many messages of a topic must lack transforms before a user is warned.
 _UNCONNECTED = 10
 
 #: How many topics are judged, each of which is read by itself: more than any robot has, fewer than a file can declare.
@@ -462,11 +460,11 @@ def judge_first(prepared: Preparation, report: Report, tally: Tally | None = Non
                     own.samples.append(sample)
                     own.counts.append(counts)
                 judged = {spec for spec, own in clouds.items() if are_enough(own.samples)}
-                if tally is None and judged == specs:
-                    break
-                are_parts = tally is None and any(own.are_parts for own in clouds.values())
-                most = PARTS if are_parts else JUDGED_CLOUDS
-                if successes == most or (read >= max(most, _MOST_READ) and (tally is None or tally.is_connected)):
+                # Scans of 2D lidars have nothing to judge.
+                is_enough = judged == specs or (successes and not clouds) or read == PARTS
+                if tally is not None:
+                    is_enough = successes == JUDGED_CLOUDS or (read >= PARTS and tally.is_connected)
+                if is_enough:
                     break
         for spec, own in clouds.items():
             judgement = judge(own)

@@ -13,7 +13,7 @@ import numpy as np
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rule import PointCounts
-from pc2scan.core.scene import FEWEST_POINTS, MOST_POINTS, WHOLE_POINTS, CloudSample, far_away, gathered, tolerances
+from pc2scan.core.scene import FEWEST_POINTS, MOST_POINTS, CloudSample, far_away, gathered, tolerances
 from pc2scan.text import agreeing, counted, height_text
 from pc2scan.transforms.frames import BODIES, WORLDS
 from pc2scan.transforms.motion import body_in, find_body_motion
@@ -93,11 +93,6 @@ class CloudFacts:
     transforms: KnownTransforms
     samples: list[CloudSample] = field(default_factory=list)
     counts: list[PointCounts] = field(default_factory=list)
-
-    @property
-    def are_parts(self) -> bool:
-        """Whether the messages are parts of a turn or of a pattern."""
-        return bool(self.samples) and len(self.samples[0].points) < WHOLE_POINTS
 
     @property
     def gathered(self) -> CloudFacts:
