@@ -81,8 +81,7 @@ def measure_together(one: TopicFacts, other: TopicFacts) -> bool:
     """Whether the first clouds of two topics were recorded at about the same time, with stamps of one clock."""
     begin_ns = max(facts.headers[0].log_time_ns for facts in (one, other))
     end_ns = min(facts.headers[-1].log_time_ns for facts in (one, other))
-    delays = [median_low([header.delay_ns for header in facts.headers]) for facts in (one, other)]
-    return begin_ns <= end_ns and not are_doubtful(*delays)
+    return begin_ns <= end_ns and not are_doubtful(one.delay_ns, other.delay_ns)
 
 
 class Clock(NamedTuple):
@@ -248,8 +247,7 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
     for facts in topics:
         if not facts.headers:
             continue
-        delay_ns = median_low([header.delay_ns for header in facts.headers])
-        begin_ns, end_ns = span.first_ns - delay_ns, last_ns - delay_ns
+        begin_ns, end_ns = span.first_ns - facts.delay_ns, last_ns - facts.delay_ns
         if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
             return
         offset = f"`time_offset={TRAJECTORY}={stamp_text(begin_ns - trajectory.first_ns)}s`"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.layout import TURN
+from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import PARTS, CloudSample, are_enough
@@ -126,11 +127,6 @@ class Header(NamedTuple):
     increment: float | None = None
     turn: float = 0.0
 
-    @property
-    def delay_ns(self) -> int:
-        """The time from the stamp to the log time."""
-        return self.log_time_ns - self.stamp_ns
-
 
 def _header(own: Points | LaserScan, message: RawMessage) -> Header:
     time_ns = message.log_time_ns
@@ -192,6 +188,11 @@ class TopicFacts:
     def last_headers(self) -> Sequence[Header]:
         """The headers that `ask_last_headers` asked for."""
         return self._observers["last headers"].values
+
+    @property
+    def delay_ns(self) -> int:
+        """The median time from the stamps of these messages, one at least, to their log times."""
+        return median_low([header.log_time_ns - header.stamp_ns for header in self.headers])
 
     @property
     def frame(self) -> str:

@@ -16,7 +16,6 @@ from pc2scan.advice.clocks import MEASURES, are_doubtful
 from pc2scan.advice.measurements import Measurements, measure, require_cloud_fields, require_fields
 from pc2scan.conversion.steps import Beams, ConvertedMessage, SelectStep, Steps
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
 from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
 from pc2scan.core.rule import PointCounts
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.advice.odometry import Surroundings
-    from pc2scan.advice.survey import Header, TopicFacts
+    from pc2scan.advice.survey import TopicFacts
     from pc2scan.conversion.deskew import Deskew, Track
     from pc2scan.conversion.plan import Output
     from pc2scan.core.project import Transform
@@ -344,13 +343,10 @@ class SourceFacts:
             for topic_facts in facts.values():
                 topic_facts.ask_headers(_HEADERS)
 
-    def firsts(self, topic: str) -> Sequence[Header]:
-        """Return the first headers of a topic; none if they are not needed."""
-        return self.facts[topic].headers[:_HEADERS] if self._is_compared else ()
-
     def period_ns(self, topic: str) -> int:
         """Return the median interval of the first stamps of a topic; 0 if there are no two different ones."""
-        return median_interval_ns(header.stamp_ns for header in self.firsts(topic)) or 0
+        headers = self.facts[topic].headers[:_HEADERS] if self._is_compared else ()
+        return median_interval_ns(header.stamp_ns for header in headers) or 0
 
 
 def measure_sources(
@@ -435,17 +431,17 @@ def _doubtful(sources: SourceFacts) -> Iterator[str]:
 
 def _clocks(sources: SourceFacts, windows: Sequence[int]) -> Iterator[str]:
     """Compare the clocks of the topics: yield warnings if they may differ, and raise if they do."""
-    lead = sources.output.sources[0]
-    delays = {topic: [header.delay_ns for header in sources.firsts(topic)] for topic in sources.output.sources}
-    for (topic, own), window_ns in zip(delays.items(), windows, strict=True):
-        if not own or not delays[lead] or not are_doubtful(median_low(own), median_low(delays[lead]), window_ns):
+    lead, *others = (sources.facts[topic] for topic in sources.output.sources)
+    for other, window_ns in zip(others, windows[1:], strict=True):
+        are_known = lead.headers and other.headers
+        if not are_known or not are_doubtful(other.delay_ns, lead.delay_ns, window_ns):
             continue
-        behind_ns = median_low(own) - median_low(delays[lead])
+        behind_ns = other.delay_ns - lead.delay_ns
         distance = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
-        difference = f"the stamps of {topic} are {distance} those of {lead}, compared with their log times"
+        difference = f"the stamps of {other.topic} are {distance} those of {lead.topic}, compared with their log times"
         if abs(behind_ns) > _SURELY_ANOTHER_NS:
             raise UsageError(
                 f"{difference}: they are of different clocks",
-                hint=f"{MEASURES}; or convert them to scans of their own: `topics={topic}:=/scan_2`",
+                hint=f"{MEASURES}; or convert them to scans of their own: `topics={other.topic}:=/scan_2`",
             )
         yield f"{difference}: if their clocks differ, a scan has what was measured that far apart; {MEASURES}"
