@@ -65,6 +65,9 @@ def test_what_is_overhead_is_not_just_above_the_sensor_and_not_far_away(height: 
 def test_ramps_and_grass_are_ground_and_neither_walls_nor_tables_are() -> None:
     flat, far = patch(-0.5, -4, 2), patch(-0.5, 2, 60, slope=0.12)
     parts = [flat, far, np.add(flat[::80], (0, 0, 0.2)), patch(-9.0, 0, 2)[:, [2, 1, 0]], patch(0.3, -6, -4)[:200]]
-    lies = np.split(are_ground(np.concatenate(parts), -0.4, 0.5), np.cumsum([len(part) for part in parts[:-1]]))
+    lies = np.split(are_ground(np.concatenate(parts), -0.4, np.zeros(3)), np.cumsum([len(part) for part in parts[:-1]]))
     _, on_ramp, on_grass, on_wall, on_table = (part.mean() for part in lies)
     assert (on_ramp > 0.97, on_grass > 0.9, on_wall < 0.02, on_table < 0.02) == (True, True, True, True)
+    # What is as high as the sensor is a ring, wherever its points are.
+    on_level = [are_ground(patch(0.2, -9, 9), -0.4, np.array([0.0, 0.0, up])).mean() for up in (0.2, 1.0)]
+    assert (on_level[0], on_level[1] > 0.9) == (0.0, True)

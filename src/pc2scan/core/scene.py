@@ -490,7 +490,7 @@ def outermost(cells: _Points, side: int) -> Plane | None:
     return None
 
 
-def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
+def are_ground(points: _Points, low: float, sensor: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which points are on ground that rises above ``low``, or on grass, nearly all of which is below.
 
     Parameters
@@ -499,29 +499,30 @@ def are_ground(points: _Points, low: float, height: float) -> NDArray[np.bool_]:
         Finite ones of a cloud, (N, 3), in a frame whose z axis points up.
     low
         The lower limit of scans.
-    height
-        How high the sensor is.
+    sensor
+        The position of the sensor.
     """
-    is_above = points[:, 2] > low
-    squares = np.floor(points[:, :2] / _SQUARE).astype(np.int64) @ np.array([1, 1 << 20])
-    _, places = np.unique(squares, return_inverse=True)
+    z, followed = points[:, 2], on_ground(*points.T)
+    is_above = z > low
+    places = np.unique(np.floor(points[:, :2] / _SQUARE).astype(np.int64) @ (1, 1 << 20), return_inverse=True)[1]
     is_grass = (np.bincount(places, is_above) <= _GRASSY * np.bincount(places))[places]
-    is_grass &= points[:, 2] < low + min(_GRASS, height / 3)
-    lowest = np.full(places.max(initial=0) + 1, np.inf)
-    np.minimum.at(lowest, places, points[:, 2])
-    over = points[:, 2] - lowest[places]
+    is_grass &= z < min(low + _GRASS, (low + sensor[2]) / 2)
     # The foot of what stands is no ground; the filter may take it for that.
+    lowest = np.full(places.max(initial=0) + 1, np.inf)
+    np.minimum.at(lowest, places, z)
+    over = z - lowest[places]
     stands = np.bincount(places, (over > _STANDS) & (over < _HANGS)) > 0
-    followed = on_ground(*points.T)
     ground = is_above & followed & ~stands[places]
     # Few rings see nothing of the floor before a slope, so none is followed: it rises from below the robot's frame.
     known = ground if followed.any() else is_above
-    # Its plane goes on where it is not followed, if it hides what is below: beside a ramp, the floor is visible.
-    for plane in planes_of(cells_of(points[known]))[: 1 if followed.any() else None] if known.any() else ():
-        rises = plane.up[2] > 0 and _LEAST_RISE < math.tan(plane.tilt) < _STEEPEST_RISE
+    for plane in planes_of(cells_of(points[known])) if known.any() else ():
         off, near = points @ plane.up + plane.height, tolerances(points)
-        below = (off < -near) & (points[:, 2] - off > low)
-        if (rises or followed.any()) and below.sum() < _FEW_BEHIND * known.sum():
+        if sensor[2] > low and plane.share > _ONE_RING and abs(sensor @ plane.up + plane.height) < near.min():
+            # All points of one ring are in a plane through the sensor, wherever they are.
+            return is_above & is_grass
+        rises = plane.up[2] > 0 and _LEAST_RISE < math.tan(plane.tilt) < _STEEPEST_RISE
+        # It goes on where it is not followed, if it hides what is below: beside a ramp, the floor is visible.
+        if rises and ((off < -near) & (z - off > low)).sum() < _FEW_BEHIND * known.sum():
             ground |= is_above & (np.abs(off) < near)
     return np.asarray(ground | (is_above & is_grass))
 

@@ -541,9 +541,10 @@ def _scene(spec: ScanSpec, lidar: Lidar) -> Scene:
     floor = None if heights is None else heights.floor
     low = math.inf if floor is None else params.min_height
     # From where clouds in the robot's frame were seen is not known.
-    height = ABOVE_ROBOT if lidar.moving_frame.removeprefix("/") in BODIES else lidar.sensor[2] - (floor or 0.0)
-    lies = [are_ground(xyz, low, height) for xyz in seen]
-    slopes = [_slope(xyz[up], low, params.max_height) for xyz, up in zip(seen, lies, strict=True)]
+    is_of_robot = lidar.moving_frame.removeprefix("/") in BODIES
+    sensor = np.array([0.0, 0.0, ABOVE_ROBOT]) if is_of_robot else lidar.sensor
+    lies = [are_ground(xyz, low, sensor) for xyz in seen]
+    slopes = [_slope(xyz[up], low) for xyz, up in zip(seen, lies, strict=True)]
     parts = np.split(~np.concatenate(lies), np.cumsum([len(xyz) for xyz in placed])[:-1])
     marked = []
     for cloud, stands in list(zip(clouds, parts, strict=True))[:: 1 if lidar.merges else -(-len(clouds) // _CLOUDS)]:
@@ -566,13 +567,11 @@ def _coordinates(cloud: PlacedCloud) -> NDArray[np.float64]:
     return points if transform is None else np.asarray(transform.apply(points))
 
 
-def _slope(ground: NDArray[np.float64], low: float, high: float) -> float:
-    """Return how steeply points rise above the lower limit: those up to the upper one, which then rises with them."""
-    z, ranges, slope = ground[:, 2], np.hypot(ground[:, 0], ground[:, 1]), 0.0
-    for _ in range(2):
-        rising = (z > low) & (z < high + slope * ranges) & (ranges > _NEAR)
-        slope = percentiles((z - low)[rising] / ranges[rising], _NEARLY)[0] if rising.any() else 0.0
-    return slope
+def _slope(ground: NDArray[np.float64], low: float) -> float:
+    """Return how steeply nearly all of these points rise above the lower limit."""
+    ranges = np.hypot(ground[:, 0], ground[:, 1])
+    far = ranges > _NEAR
+    return percentiles((ground[far, 2] - low) / ranges[far], _NEARLY)[0] if far.any() else 0.0
 
 
 def _scans(spec: ScanSpec, lidar: Lidar, scene: Scene) -> tuple[Trial, list[PointCounts]]:
