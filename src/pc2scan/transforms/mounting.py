@@ -15,11 +15,9 @@ import numpy as np
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.scene import (
-    JUDGED_CLOUDS,
     LEVEL,
     ONE_FLOOR,
     Ground,
-    are_enough,
     cells_of,
     common_ground,
     far_away,
@@ -187,7 +185,7 @@ def mounting(
         1 if an IMU, or how the lidar turns, says that z points up: in the robot's frame by the recorded mount, without
         one in the frame of the points; -1 if it points down; 0: not known.
     """
-    clouds = gathered(clouds)[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
+    clouds = gathered(clouds)
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples, transform = [cloud.points for cloud in clouds], clouds[0].transform
     recorded = 0.0 if transform is None else _recorded_floor(buffer, judged_in, stamp_ns)
