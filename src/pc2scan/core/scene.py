@@ -377,16 +377,17 @@ class Ground(NamedTuple):
         if self.off:
             return Ground("unknown")
         points = cells_of(points)
-        ranges, tolerance = _distances(points), tolerances(points)
-        on_it = ranges[np.abs(points @ np.array(self.normal) + self.height) < tolerance]
+        ranges, tolerance, few = _distances(points), tolerances(points), _LARGE_FLOOR * len(points)
+        on = np.abs(points @ np.array(self.normal) + self.height) < tolerance
         at = np.abs(points[:, 2] + height) < tolerance
         # What is also seen where the transforms say is the floor that the robot stands on.
-        is_large, is_floor = at.sum() > _LARGE_FLOOR * len(points), on_it.size > _LARGE_FLOOR * len(points)
-        is_floor = is_floor and not is_large and percentiles(on_it, 10)[0] < _FARTHEST * self.height
-        if self.height > height and on_it.size > _MOST_BELOW * len(points):
+        is_floor = on.sum() > few >= at.sum() and percentiles(ranges[on], 10)[0] < _FARTHEST * self.height
+        if self.height > height and on.sum() > _MOST_BELOW * len(points):
             # Nothing is seen through a floor, which is nearer than what is below it.
-            is_seen = at.any() and (is_large or _is_surface(points, at, tolerance, height, -1))
-            is_floor = not is_seen or percentiles(on_it, 10)[0] < percentiles(ranges[at], 10)[0]
+            is_seen = at.any() and (at.sum() > few or _is_surface(points, at, tolerance, height, -1))
+            is_floor = not is_seen or percentiles(ranges[on], 10)[0] < percentiles(ranges[at], 10)[0]
+        # A plane that is below that at the sensor, and visible only above it, or the other way round, is a slope.
+        is_floor = is_floor and (median(points[on, 2]) + height) * (height - self.height) > 0
         return self if is_floor else self._replace(up=None, height=0.0, rough=0.0)
 
 
