@@ -47,7 +47,7 @@ _METRES = 0.02
 _FAR = 0.1
 
 #: From the first share of returns that may be on the ground on, it is said, and from the second one on, options that
-#: end them are tried. Limits leave at most the second share, and pass by at most the last one of what stands.
+#: end half of them are tried. Limits pass by at most the last share of what stands.
 _TOLD, _LYING, _MISSED = 0.1, 0.05, 0.1
 _ON_GROUND = "may be on rising ground, or on grass"
 #: Lower limits that are so much higher are tried, metres, if so much is left above them.
@@ -199,7 +199,7 @@ def _tried(choices: list[Choice], group: Sequence[Lidar]) -> tuple[list[Choice],
         if not any(np.isfinite(trial.ranges).any() for trial in after):
             continue
         lying, missed = max(trial.lying for trial in after), max(map(Trial.missed_in, trials, after))
-        if lying <= worst / 2 if "ground" in added else lying <= _LYING and missed <= _MISSED:
+        if lying <= worst / 2 and ("ground" in added or missed <= _MISSED):
             # What is missed may be ground that is on no plane.
             outcomes.append((lying + missed / 2, lying, way, after))
         # Limits may be above what stands, so they are for much that lies.
