@@ -352,11 +352,11 @@ def heights_above_floor(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the lowest height is far above the floor: of a sensor that is mounted, or by another unit."""
     sample, spec, low = clouds.samples[0], clouds.spec, clouds.spec.params.min_height
     target, floor = spec.params.target_frame, sample.floor
-    if spec.is_default("min_height") or floor is None:
-        return
-    above = low - sample.origin[2] + floor.height
     # If the sensor is below the frame, and the heights are above it, z may have the wrong sign.
     is_below = sample.origin[2] < -_BELOW and low > 0
+    if floor is None or (spec.is_default("min_height") and not is_below):
+        return
+    above = low - sample.origin[2] + floor.height
     is_robot = target.removeprefix("/") in BODIES
     if target and (is_robot or is_below) and above > (_OVERLOOKED if is_below else _NOTHING_LOW):
         cure = "is another `cloud_scale` right, or another transform (the parent comes first)?"
@@ -365,8 +365,8 @@ def heights_above_floor(clouds: CloudFacts) -> Iterator[str]:
     else:
         return
     yield (
-        f"{clouds.topic}: min_height is {low:g} m above {target or clouds.source!r}, and {above:.2f} m above the "
-        f"floor; {cure}"
+        f"{clouds.topic}: min_height is {round(low, 3):g} m above {target or clouds.source!r}, and {above:.2f} m above "
+        f"the floor; {cure}"
     )
 
 
