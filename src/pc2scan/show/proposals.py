@@ -52,8 +52,8 @@ _TOLD, _LYING, _MISSED = 0.1, 0.05, 0.1
 _ON_GROUND = "may be on rising ground, or on grass"
 #: Lower limits that are so much higher are tried, metres, if so much is left above them.
 _HIGHER, _THIN = (0.05, 0.1, 0.15, 0.2), 0.3
-#: No robot drives on steeper ground, and slopes of a robot that does not tilt differ less, metres a metre.
-_STEEPEST, _STEADY = 0.17, 0.02
+#: No robot drives on steeper ground, metres a metre.
+_STEEPEST = 0.17
 #: If nothing lower does, scans above rising ground reach so far, metres, and end so far below what is overhead.
 _REACHES, _BELOW = 20.0, 0.2
 
@@ -218,8 +218,7 @@ def _ways(options: Mapping[str, Any], group: Sequence[Lidar], slopes: list[float
     limits = [Choice("min_height", float(f"{low + by:.2f}"), why) for by in _HIGHER if low + by + _THIN <= high]
     # Both are for grass on ground that the filter finds.
     yield from ([ground], *([limit] for limit in limits), *([ground, limit] for limit in limits[:1]))
-    # If the robot tilts, other clouds have steeper ground.
-    if max(slopes) - min(slopes) < _STEADY and max(slopes) < _STEEPEST:
+    if max(slopes) < _STEEPEST:
         slope = math.ceil(100 * max(slopes) + 0.5) / 100
         rises = Choice("min_height_slope", slope, why)
         yield [rises]
