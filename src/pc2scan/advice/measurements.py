@@ -87,7 +87,7 @@ class Measurements(NamedTuple):
     @classmethod
     def given(cls, params: ProjectionParams) -> Measurements:
         """Return what the parameters say, 0 for what is to be measured."""
-        scan_time, increment = (0.0 if x == "auto" else x for x in (params.scan_time, params.time_increment))
+        scan_time, increment = (0.0 if time == "auto" else time for time in (params.scan_time, params.time_increment))
         return cls(scan_time, increment)
 
     def resolve(self, params: ProjectionParams) -> ProjectionParams:

@@ -98,7 +98,7 @@ def values_in_another_unit(request: OutputRequest) -> Iterator[str]:
     """Yield a warning for each value that is so large that a smaller unit was probably meant."""
     for name, (largest, unit, smaller, why) in _LARGE.items():
         value = getattr(request.spec.params, name)
-        if name in request.given and not isinstance(value, str) and value >= largest:
+        if not request.spec.is_default(name) and not isinstance(value, str) and value >= largest:
             yield f"{name} is {value:g} {unit}, and {why}; for {value:g} {smaller} write `{name}={value:g}{smaller}`"
 
 
