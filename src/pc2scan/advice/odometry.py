@@ -426,8 +426,10 @@ def turns_upright(clouds: Sequence[tuple[Rigid, NDArray[np.floating[Any]]]]) -> 
     times = np.arange(float(len(clouds)))
     rows = np.array([[*rigid.matrix.ravel(), *rigid.translation] for rigid, _ in clouds])
     seen = _Seen(times, rows, np.concatenate(some), np.repeat(times, [len(points) for points in some])).of_walls()
-    ways = [(seen.turned_over(), seen.here)] if len(seen.points) >= _FEWEST else []
-    return float(_gain(ways) > _SHARPER) - float(_gain([way[::-1] for way in ways]) > _SHARPER)
+    if len(seen.points) < _FEWEST:
+        return 0.0
+    sharper = spread(seen.turned_over()[:, :2]) / spread(seen.here[:, :2])
+    return float(sharper > _SHARPER) - float(sharper < 1 / _SHARPER)
 
 
 def floor_tilt(clouds: Iterable[NDArray[np.float64]]) -> float | None:

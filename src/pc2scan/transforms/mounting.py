@@ -189,8 +189,8 @@ def mounting(
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples, transform = [cloud.points for cloud in clouds], clouds[0].transform
     recorded = 0.0 if transform is None else _recorded_floor(buffer, judged_in, stamp_ns)
-    looks = [cloud.ground for cloud in clouds]
-    ground = common_ground(looks) if transform is None else _believed(samples, origin_z - recorded, up)
+    looks = _looks(samples, origin_z - recorded) if recorded else [cloud.ground for cloud in clouds]
+    ground = common_ground(looks) if transform is None else _believed(looks, samples, origin_z - recorded, up)
     # In a world's frame, z points up.
     ground = Ground("unknown") if ground.off and frame.removeprefix("/") in WORLDS else ground
     seen = Mounting(topic, frame, judged_in, ground, samples)
@@ -267,7 +267,7 @@ def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Gr
     ``ground`` is the ground by the recorded transform; the samples are in its axes; for ``recorded``, see
     `suitable_heights`.
     """
-    matrix, height = target_from_frame.matrix, float(target_from_frame.translation[2])
+    matrix, z = target_from_frame.matrix, float(target_from_frame.translation[2])
     # It looks where it does by its transform: along its x axis, or along z if y is upright, as that of a camera.
     is_optical = ground.kind == "optical"
     is_camera = is_optical or abs(matrix[2, 1]) > 0.7
@@ -281,14 +281,19 @@ def _corrected(seen: Mounting, target: str, target_from_frame: Rigid, ground: Gr
     over = target_from_frame.compose(over)
     right = over if over.matrix[2] @ up > math.cos(LEVEL) else right
     moved = [right.rotation.apply(points @ matrix) for points in seen.samples]
-    corrected = _believed(moved, height - recorded, 1.0)
-    heights = suitable_heights(corrected, moved, frame=target, origin_z=height, recorded=recorded)
+    corrected = _believed(_looks(moved, z - recorded), moved, z - recorded, 1.0)
+    heights = suitable_heights(corrected, moved, frame=target, origin_z=z, recorded=recorded)
     return _mounted_on(seen, target, right, heights)
 
 
-def _believed(samples: _Samples, height: float, up: float) -> Ground:
-    """Return the ground in a frame of which a transform says how high the sensor is; see `Ground.believed`."""
-    ground = common_ground([find_ground(points).believed(points, height) for points in samples])
+def _looks(samples: _Samples, height: float) -> list[Ground]:
+    """Return the ground in each cloud by a transform that says how high the sensor is; see `Ground.believed`."""
+    return [find_ground(points).believed(points, height) for points in samples]
+
+
+def _believed(looks: Sequence[Ground], samples: _Samples, height: float, up: float) -> Ground:
+    """Return the ground of which a transform says how far below the sensor it is, by what is seen in each cloud."""
+    ground = common_ground(looks)
     return Ground("unknown") if ground.off and _is_ceiling(ground, samples, height, up) else ground
 
 
@@ -308,7 +313,7 @@ def _by_transforms(seen: Mounting, buffer: TransformBuffer, stamp_ns: int, up: f
     recorded = _recorded_floor(buffer, name, stamp_ns)
     height = float(body_from_frame.translation[2]) - recorded
     samples = [body_from_frame.rotation.apply(points) for points in seen.samples]
-    body_ground = _believed(samples, height, up)
+    body_ground = _believed(_looks(samples, height), samples, height, up)
     ground = ground.believed(seen.samples[0], height) if ground.off and body_ground.kind != "level" else ground
     placed = seen._replace(ground=ground if ground.off else body_ground, samples=samples)
     tilt = body_from_frame.tilt
